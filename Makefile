@@ -28,7 +28,7 @@ demo: setup
 	@bash -c 'source .ws/env.bash && exec python scripts/demo.py "$$@"' demo $(ARGS)
 
 gazebo: setup
-	@bash -c 'source .ws/env.bash; server=gzserver; command -v gzserver >/dev/null || { scripts/gazebo_chroot.sh make && server="$$PWD/scripts/gazebo_chroot.sh run gzserver"; } && exec python scripts/demo.py twin:=gazebo servo:=realistic "gzserver:=$$server" "$$@"' gazebo $(ARGS)
+	@bash -c 'source .ws/env.bash; server=gzserver; command -v gzserver >/dev/null || { scripts/gazebo_chroot.sh make && server="$$PWD/scripts/gazebo_chroot.sh run gzserver"; } && GZSERVER="$$server" exec python scripts/demo.py twin:=gazebo servo:=realistic "$$@"' gazebo $(ARGS)
 
 build:
 	@bash setup/setup.sh work

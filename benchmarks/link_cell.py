@@ -52,7 +52,7 @@ class Cell:
 
     Args:
         world: With a broker.
-        realtime: SCHED_FIFO priority of the 250 Hz path; these two get 10 more, as in launch/link.launch.
+        realtime: SCHED_FIFO priority of the 250 Hz path; these two get 10 more, as in launch/bringup.launch.
     """
 
     def __init__(self, world: World, config: GatewayConfig, realtime: int = REALTIME, prefix: str = "twin"):

@@ -169,7 +169,7 @@ def outcome(pairs: list, cpu: float) -> Outcome:
 
 
 def bridge_parameters(port: int, realtime: int, prefix: str = "twin") -> dict:
-    """Return the parameters of a bridge in its robot's namespace, as launch/link.launch loads them."""
+    """Return the parameters of a bridge in its robot's namespace, as launch/bringup.launch loads them."""
     bridge = yaml.safe_load((ROOT / "config" / "mqtt_bridge.yaml").read_text())
     bridge |= {"host": "127.0.0.1", "port": port, "prefix": prefix, "account": "", "arm": "mock"}
     return {

@@ -116,7 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     end_in_order()
     result: dict = {"environment": environment()}
-    with bringup("console_files:=true", "gui:=false") as port:
+    with bringup("console:=files", "gui:=false") as port:
         connected(port, "ready").disconnect()
         time.sleep(15.0)
         result["quiet"] = stop_times(port, options.stops)

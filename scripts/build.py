@@ -10,24 +10,11 @@ import sys
 import tempfile
 from pathlib import Path
 
-from demo import launch, launch_arguments, newest_link, results_folder
-
-
-def main(arguments: list[str]) -> int:
-    """Build; return the exit code: 0 when the session left a new ``work.json``, else 1 after a sentence."""
-    given = launch_arguments(arguments)
-    results = results_folder(given)
-    before = newest_link(results, "work.json")
-    logs = Path(os.environ.get("ROS_LOG_DIR", Path.home() / ".ros/log"))
-    with tempfile.TemporaryDirectory(prefix="construction_twin_build_") as home:
-        os.environ.update(ROS_HOME=home, ROS_LOG_DIR=str(logs))
-        launch(arguments if "results_dir" in given else [f"results_dir:={results}", *arguments], "build")
-    if newest_link(results, "work.json") in (None, before):
-        sentence = "the session did not finish; the sentences above say why. Logs of every node"
-        print(f"build: {sentence}: {logs / 'latest'}", file=sys.stderr)
-        return 1
-    return 0
-
+import demo
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    logs = os.environ.get("ROS_LOG_DIR", str(Path.home() / ".ros/log"))
+    with tempfile.TemporaryDirectory(prefix="construction_twin_build_") as home:
+        os.environ.update(ROS_HOME=home, ROS_LOG_DIR=logs)
+        code = demo.main(sys.argv[1:], "build", "work.json")
+    sys.exit(code)

@@ -90,18 +90,13 @@ def results_folder(given: Mapping[str, str]) -> Path:
     return Path(given.get("results_dir", ROOT / "results")).expanduser()
 
 
-def newest(results: Path) -> str | None:
-    """Return the name of the newest finished run, None when there is none."""
-    return newest_link(results, "summary.json")
-
-
 def newest_link(results: Path, file: str) -> str | None:
     """Return the name of the newest run if it left a file, None when there is none."""
     latest = results / "latest"
     return os.readlink(latest) if latest.is_symlink() and (latest / file).is_file() else None
 
 
-def launch(arguments: list[str], name: str = "experiment") -> None:
+def launch(arguments: list[str], name: str) -> None:
     """Run the launch file of a name and show its output."""
     port = os.environ.get("ROS_MASTER_PORT", "11311")
     command = [
@@ -126,18 +121,15 @@ def launch(arguments: list[str], name: str = "experiment") -> None:
     run.wait()
 
 
-def main(arguments: list[str]) -> int:
-    """Run the demo; return the exit code: 0 when the experiment left a new summary, else 1 after a sentence."""
+def main(arguments: list[str], name: str = "experiment", file: str = "summary.json") -> int:
+    """Run a launch file; return the exit code: 0 when it left a new run with that file, else 1 after a sentence."""
     given = launch_arguments(arguments)
     results = results_folder(given)
-    before = newest(results)
-    launch(arguments if "results_dir" in given else [f"results_dir:={results}", *arguments])
-    if newest(results) in (None, before):
+    before = newest_link(results, file)
+    launch(arguments if "results_dir" in given else [f"results_dir:={results}", *arguments], name)
+    if newest_link(results, file) in (None, before):
         logs = Path(os.environ.get("ROS_LOG_DIR", Path.home() / ".ros/log")) / "latest"
-        print(
-            f"demo: the experiment did not finish; the sentences above say why. Logs of every node: {logs}",
-            file=sys.stderr,
-        )
+        print(f"{name}: it did not finish; the sentences above say why. Logs of every node: {logs}", file=sys.stderr)
         return 1
     return 0
 

@@ -154,7 +154,9 @@ def main() -> int:
     """Take all of them; return the exit code."""
     with tempfile.TemporaryDirectory() as name, sync_playwright() as playwright:
         folder, port = Path(name), free_port(socket.SOCK_STREAM)
-        start = ("bringup.launch", "console:=true", f"console_port:={port}")
+        shipped = (ROOT / "config/console.yaml").read_text()
+        (folder / "console.yaml").write_text(shipped.replace("port: 8480", f"port: {port}"))
+        start = ("bringup.launch", f"console:={folder / 'console.yaml'}")
         with system(start, folder):
             browser = launch(playwright)
             try:

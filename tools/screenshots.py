@@ -287,10 +287,11 @@ def shoot_gazebo(camera: Camera) -> None:
 
 #: What stands before a program of Gazebo where it is not installed.
 GAZEBO = () if shutil.which("gzserver") else (str(ROOT / "scripts/gazebo_chroot.sh"), "run")
+os.environ["GZSERVER"] = " ".join((*GAZEBO, "gzserver"))
 #: Launch file and arguments, namespace, and what is photographed.
 SCENES: dict[str, tuple[tuple[str, ...], str, Callable[[Camera], None]]] = {
     "one": (("bringup.launch",), "kr120", shoot_one),
-    "marker": (("bringup.launch", "tool_marker:=true"), "kr120", shoot_marker),
+    "marker": (("bringup.launch", "gui:=marker"), "kr120", shoot_marker),
     "rehearsal": (("bringup.launch", "rehearsal:=require"), "kr120", shoot_rehearsal),
     "track": (("bringup.launch", "track:=true"), "kr120", shoot_track),
     "work": (
@@ -307,7 +308,7 @@ SCENES: dict[str, tuple[tuple[str, ...], str, Callable[[Camera], None]]] = {
     ),  # fmt: skip
     # without arms: two whole robots want two cores for themselves, and rviz takes one
     "two_robots": (("two_robots.launch", "arm:=none"), "", shoot_two),
-    "gazebo": (("gazebo.launch", f"gzserver:={' '.join((*GAZEBO, 'gzserver'))}"), "kr120", shoot_gazebo),
+    "gazebo": (("gazebo.launch",), "kr120", shoot_gazebo),
 }
 #: Photographed only when it is named: not every machine has Gazebo, or root for a chroot.
 BY_NAME = {"gazebo"}

@@ -95,7 +95,7 @@ class AnotherArmTest(RobotTest):
         launch, monitor = make_arm(cls.folder), cls.folder / "monitor.launch"
         monitor.write_text(PATIENT_MONITOR)
         given = [f"{name}:={rospy.get_param(f'~{name}')}" for name in ("broker_port", "rsi_port", "gateway_trace")]
-        cls.launch = Launch(cls.folder, str(launch), str(monitor), "tool_marker:=true", *given)
+        cls.launch = Launch(cls.folder, str(launch), str(monitor), "gui:=marker", *given)
         cls.addClassCleanup(cls.launch.end)
         try:
             for service in ("plan_to_pose", "plan_cartesian"):

@@ -25,7 +25,7 @@ TOPICS = Topics("twin", "kr120")
 
 
 class SiteTest(unittest.TestCase):
-    """Bringup with broker_config, bridge_account and gateway_account."""
+    """Bringup with a site's accounts."""
 
     @classmethod
     def setUpClass(cls):
@@ -34,10 +34,8 @@ class SiteTest(unittest.TestCase):
         site = cls.folder / "site"
         arguments = ["--host", "localhost", "--robot", "kr120", "--port", str(PORT), "--listen", "127.0.0.1"]
         assert make_site([str(site), *arguments, "--person", "ada:operate", "--person", "anna:operate,approve"]) == 0
-        command = ["roslaunch", "construction_twin", "bringup.launch", f"broker_config:={site}/broker/mosquitto.conf",
-                   "broker_host:=localhost", f"broker_port:={PORT}", "rsi_port:=49260",
-                   f"bridge_account:={site}/accounts/kr120-bridge/account.json",
-                   f"gateway_account:={site}/accounts/kr120-gateway/account.json"]  # fmt: skip
+        command = ["roslaunch", "construction_twin", "bringup.launch", f"accounts:={site}/accounts",
+                   "broker_host:=localhost", f"broker_port:={PORT}", "rsi_port:=49260"]  # fmt: skip
         cls.output: list[str] = []
         # the test's own namespace is not bringup's
         outside = {name: value for name, value in os.environ.items() if name != "ROS_NAMESPACE"}

@@ -20,9 +20,17 @@ from work_samples import RECIPES
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work import process
 from construction_twin.extensions.work.errors import TaskPlanningError
-from construction_twin.extensions.work.motions import Failed, PlanBuilder, Search
-from construction_twin.extensions.work.process import Process, TaskMotions
-from construction_twin.extensions.work.recipe import SHARED, Finite, Length, Override, Recipe, numbers
+from construction_twin.extensions.work.motions import PAIRS, Failed, PlanBuilder, Search
+from construction_twin.extensions.work.process import (
+    SHARED,
+    Finite,
+    Length,
+    Override,
+    Process,
+    Recipe,
+    TaskMotions,
+    numbers,
+)
 from construction_twin.extensions.work.site import inverse, pose_of
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import product
@@ -72,6 +80,7 @@ def check(search: Search) -> None:
 
 
 def plan(search: Search) -> TaskMotions:
+    check(search)
     furthest: Failed | None = None
     for point in search.recipe.points:
         if furthest is not None and search.late:
@@ -97,7 +106,7 @@ def _at(search: Search, point: tuple[float, float, float], name: str) -> TaskMot
     search.demand_reach(at, "at the point")
     befores = search.solutions(above, search.start, scene, TO_POINT, "above the point")
     furthest: Failed | None = None
-    for number in search.nearest(befores)[: search.limits.pairs]:
+    for number in search.nearest(befores)[:PAIRS]:
         try:
             return _planned(search, befores[number], at, above, name)
         except Failed as failed:
@@ -110,10 +119,10 @@ def _planned(search: Search, before: np.ndarray, at: Pose, above: Pose, name: st
     scene, scale = search.scene, search.recipe.free_speed_scale
     down = search.line(before, at, scale, scene, TOUCH)
     back = search.line(down.positions[-1], above, scale, scene, BACK)
-    free = search.free(search.start, before, scale, scene, TO_POINT)
+    free, clearance = search.free(search.start, before, scale, scene, TO_POINT)
     empty = search.tool.tool.release.signals()
     made = PlanBuilder(search, scene)
-    made.add(TO_POINT, free.trajectory, False, empty, (), scene, free.clearance)
+    made.add(TO_POINT, free, False, empty, (), scene, clearance)
     made.add(TOUCH, down, True, empty, (), scene)
     made.add(BACK, back, True, empty, (), scene)
     return made.plan(name)
@@ -129,7 +138,6 @@ PROCESS = Process(
     check_recipe=check_recipe,
     mass=lambda job, name, recipe, tool: job.element.mass,
     acts=TOUCH,
-    check=check,
     plan=plan,
 )
 

@@ -12,9 +12,8 @@ import numpy as np
 import yaml
 
 from construction_twin.extensions.work.building import Body, BuildingModel, Element
-from construction_twin.extensions.work.motions import TaskLimits, TaskPlanner
-from construction_twin.extensions.work.process import WorkJob
-from construction_twin.extensions.work.recipes import Recipes, read_recipes
+from construction_twin.extensions.work.motions import BUDGET, TaskPlanner
+from construction_twin.extensions.work.process import Recipes, WorkJob, read_recipes
 from construction_twin.extensions.work.schedule import Job
 from construction_twin.extensions.work.site import Site, read_site
 from construction_twin.extensions.work.site_scene import Layout
@@ -132,14 +131,14 @@ def planner(
     with_recipes: Recipes | None = None,
     with_tool: ToolFile | None = None,
     of: RobotModel | None = None,
-    limits: TaskLimits = TaskLimits(),
+    budget: float = BUDGET,
 ) -> TaskPlanner:
     """Return a planner with a seed."""
     values = yaml.safe_load((ROOT / "config/planner.yaml").read_text())
     settings = PlannerSettings(**{name: values[name] for name in PlannerSettings.model_fields} | {"seed": 1})
     return TaskPlanner(
         of or robot(), solver(of), settings, pairs(), with_tool or tool(), with_recipes or recipes(), time.process_time,
-        limits,
+        budget,
     )  # fmt: skip
 
 

@@ -28,7 +28,7 @@ from construction_twin.core.realtime import request_realtime
 DEFAULT_PORT = 18830
 #: What a real arm is commanded by.
 ACCOUNTS = (
-    "accounts, with arm:=real: this broker lets in everybody; give the accounts and the broker_config of a site (make_site), or "
+    "accounts, with arm:=real: this broker lets in everybody; give `accounts` of a site (make_site), or "
     "anonymous_broker_is_meant:=true"
 )
 #: Longest time until a mosquitto on trial listens [s]: long, because a busy machine is no reason to refuse a start.
@@ -78,16 +78,16 @@ def check(path: str, port: int, accounts: bool = False) -> tuple[str, str]:
         text = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         why = getattr(error, "strerror", error)
-        raise ConfigurationError("broker_config", path, f"a file that can be read: {why}") from error
+        raise ConfigurationError("mosquitto.conf", path, f"a file that can be read: {why}") from error
     if accounts and lets_in_everybody(text):
-        raise ConfigurationError("broker_config", path, ACCOUNTS)
+        raise ConfigurationError("mosquitto.conf", path, ACCOUNTS)
     for number in listener_ports(text) or [port]:
         if not port_is_free(socket.SOCK_STREAM, number):
             raise ConfigurationError(
                 "broker_port", number, "a free TCP port; broker:=false uses the broker that has it"
             )
     if cause := trial(program, text):
-        raise ConfigurationError("broker_config", path, f"one that mosquitto can start with: {cause}")
+        raise ConfigurationError("mosquitto.conf", path, f"one that mosquitto can start with: {cause}")
     return program, text
 
 

@@ -75,9 +75,7 @@ def read_arguments(argv: list[str]) -> argparse.Namespace:
         prog="rsi_gateway",
         description="Bridge between MQTT joint strings and a robot controller (KUKA RSI). Needs no ROS. Not safety rated.",
     )
-    parser.add_argument(
-        "--config", required=True, help="JSON file written by `rosrun construction_twin export_gateway_config`"
-    )
+    parser.add_argument("--config", required=True, help="JSON file written by `rosrun construction_twin twin gateway`")
     parser.add_argument(
         "--listen",
         default="127.0.0.1:0",

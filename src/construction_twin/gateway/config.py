@@ -1,6 +1,6 @@
 """The gateway's configuration: one JSON file, made from URDF and robot YAML, with a hash that the bridge compares.
 
-The gateway has neither URDF nor YAML at hand on the cell PC, so `rosrun construction_twin export_gateway_config` writes this
+The gateway has neither URDF nor YAML at hand on the cell PC, so `rosrun construction_twin twin gateway` writes this
 file. The `motion` part decides what the arm may do and is what the hash covers; hosts and ports are given on the gateway's
 command line. What is fixed about the controller's telegrams is part of it. SI units throughout.
 """
@@ -207,7 +207,7 @@ def parse_config(text: str, where: str) -> GatewayConfig:
         tool = GatewayTool.of_document(motion["tool"]) if "tool" in motion else None
         config = GatewayConfig(**motion | {"layout": layout, "tool": tool})
     except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
-        raise ConfigurationError(where, str(error), "a file written by export_gateway_config") from error
+        raise ConfigurationError(where, str(error), "a file written by twin gateway") from error
     if document.get("hash") != config.hash:
         expected = f"hash {config.hash}; the file was edited, export it again"
         raise ConfigurationError(where, document.get("hash"), expected)
@@ -224,6 +224,6 @@ def load_config(path: str) -> GatewayConfig:
         # what is no text is no JSON either
         text = Path(path).read_text(encoding="utf-8", errors="replace")
     except OSError as error:
-        expected = "a readable file written by export_gateway_config"
+        expected = "a readable file written by twin gateway"
         raise ConfigurationError(path, error.strerror, expected) from error
     return parse_config(text, path)

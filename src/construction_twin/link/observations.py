@@ -268,7 +268,7 @@ class LinkObservations(ArmAndStream):
             )
         if status.hash != self._hash:
             return LinkState.MISMATCH, Sentence(
-                "gateway runs another configuration (its hash differs); export_gateway_config, then restart the gateway"
+                "gateway runs another configuration (its hash differs); export it by `twin gateway`, then restart the gateway"
             )
         if not status.run or status.fault_number is None:
             return LinkState.MISMATCH, Sentence(

@@ -134,6 +134,7 @@ KINDS = {
     "collision": FaultKind(
         "one", (1,), "the torque with which something pushes on the axis [Nm]", shift=True, positive=False
     ),
+    "restart": FaultKind("no", (0,), "no value", lasting=False),
     "restart_at": FaultKind("no", (-1,), "a pose [rad]", positive=False, lasting=False),
     "jog": FaultKind("no", (-1,), "a pose [rad]", positive=False, lasting=False),
 }
@@ -279,6 +280,7 @@ class FaultBoard:
             "estop": (controller.press_emergency_stop, controller.release_emergency_stop),
             "rsi_timeout": (lambda: controller.ignore_replies(True), lambda: controller.ignore_replies(False)),
             "t1": (lambda: controller.limit_tool_speed(values[0] if values else T1_SPEED), controller.lift_tool_speed),
+            "restart": (controller.restart, _nothing),
             "restart_at": (lambda: controller.restart(values), _nothing),
             "jog": (lambda: controller.run_program(values, fault.duration), _nothing),
         }[fault.name]

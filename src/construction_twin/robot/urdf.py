@@ -176,13 +176,3 @@ def read_yaml(path: str | Path, of_what: str = "") -> Any:
         return yaml.safe_load(read_text(path))
     except yaml.YAMLError as error:
         raise ConfigurationError(str(path), " ".join(str(error).split()), f"a YAML file{of_what}") from error
-
-
-def main() -> None:
-    """Print the URDF of a xacro file, the command `expand_xacro`; what is wrong with it ends the process with one sentence."""
-    if len(sys.argv) < 2:
-        sys.exit("usage: expand_xacro FILE [argument=value ...]")
-    try:
-        print(expand_xacro(sys.argv[1], xacro_arguments(shlex.join(sys.argv[2:]))))
-    except ConfigurationError as error:
-        sys.exit(f"robot_xacro: {error}")

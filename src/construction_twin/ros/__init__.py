@@ -1,5 +1,1 @@
-"""The ROS side of the core: nodes, commands, messages, transport.
-
-In: topics, services, parameters. Out: the same, from what the library returns. Nodes stay thin: convert, call, convert,
-publish. Its own order is transport, messages, shared, nodes, commands; it may import every other folder of the core.
-"""
+"""The ROS side: nodes, commands, and what they share; the only folder of the core that knows rospy."""

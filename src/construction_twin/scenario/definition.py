@@ -20,7 +20,7 @@ _NotNegative = Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)]
 #: Topics whose states a step can wait for, and an event can name.
 STATES = ("sync", "link", "execution")
 #: Services that a step can call: those of a person, of the cell, and of the arm's controller.
-Call = Literal["stop", "halt", "pause", "resume", "reset", "mqtt_bridge/arm", "mock_rsi/restart"]
+Call = Literal["stop", "halt", "pause", "resume", "reset"]
 #: A pose has been reached when every joint is this close [deg], 1e-5 rad: rounding to 3 decimals leaves 5e-4.
 FINAL_ERROR_DEG = 5.7e-4
 

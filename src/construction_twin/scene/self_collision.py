@@ -114,7 +114,7 @@ NEAR = 0.05
 
 _HEADER = """\
 # Pairs of links that are not checked against each other. Written by
-#   rosrun construction_twin self_collision <urdf or xacro> <robot.yaml> <this file>
+#   rosrun construction_twin new_arm self_collision <urdf or xacro> <robot.yaml> <this file>
 # from {samples} random poses within the joint ranges (seed {seed}); run it again when a collision shape, a joint or a range
 # of the robot changes.
 #   adjacent: joined by one joint, or by two joints with one origin{followers}
@@ -233,7 +233,7 @@ def _open_pairs(
 
 
 #: How a robot gets its file. The name is the person's to choose: over another arm's file it would take away what that arm needs.
-WRITE = "rosrun construction_twin self_collision <urdf or xacro> <robot.yaml> <new file>"
+WRITE = "rosrun construction_twin new_arm self_collision <urdf or xacro> <robot.yaml> <new file>"
 
 
 def _link_pairs(bodies: RobotBodies) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:

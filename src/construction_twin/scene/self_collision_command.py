@@ -71,7 +71,7 @@ def propose_hulls(robot: RobotModel, folder: Path) -> list[str]:
     if not lines:
         return []
     path = folder / "robot.urdf"
-    note = "<!-- A proposal by `rosrun construction_twin self_collision`: convex hulls in place of the collision meshes. -->"
+    note = "<!-- A proposal by `new_arm self_collision`: convex hulls in place of the collision meshes. -->"
     text = f'<?xml version="1.0"?>\n{note}\n{ElementTree.tostring(root, encoding="unicode")}\n'
     path.write_text(text, encoding="utf-8")
     return [
@@ -112,7 +112,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="self_collision",
+        prog="new_arm self_collision",
         description="Find the pairs of links that need no check against each other, and write them to a YAML file. Collision "
         "meshes that are not convex: propose their hulls in a folder beside it.",
     )

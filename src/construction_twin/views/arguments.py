@@ -40,11 +40,7 @@ class Exit(enum.IntEnum):
 
 
 def parser(robot: str) -> argparse.ArgumentParser:
-    """Return the parser of the whole command line.
-
-    Args:
-        robot: Namespace of the robot when none is given.
-    """
+    """Return the parser of the whole command line; `robot`: namespace of the robot when none is given."""
     root = argparse.ArgumentParser(
         prog="twin",
         description="Plan, review and watch the motions of one robot and its twin. Angles in deg, lengths in mm.",
@@ -70,7 +66,13 @@ def parser(robot: str) -> argparse.ArgumentParser:
     _add_pace(command("home", "have a motion to the home pose planned for review; nothing moves"))
     command("back", "have the way back out of an engaged segment planned for review; nothing moves")
     command("show", "show the plan under review")
-    _add_export(command("export", "write the newest plan, whatever became of it, as a CSV file that plan --csv reads"))
+    export = command("export", "write the newest plan, whatever became of it, as a CSV file that plan --csv reads")
+    export.add_argument("file", metavar="FILE", help="the file to write; -: standard output")
+    export.add_argument("--deg", action="store_true", help="in deg and mm [rad and m, to the last bit]")
+    gateway = command(
+        "gateway", "write the configuration of rsi_gateway for the cell PC, from the running bringup's parameters"
+    )
+    gateway.add_argument("file", metavar="FILE", help="the file to write, e.g. kr120_gateway.json; -: standard output")
     preview = command("preview", "let the ghost play the plan under review")
     preview.add_argument("--speed", type=_percent, default=1.0, metavar="PERCENT", help="of the plan's own speed [100]")
     add_approve(command("approve", "approve the plan under review: it starts"))
@@ -86,11 +88,15 @@ def parser(robot: str) -> argparse.ArgumentParser:
         "rehearsal",
         "show what the simulated arm found when it carried out the newest plan; ends with 1 unless it passed",
     )
-    _add_scene(command("scene", "list what the arm must not touch, or write it for another planner"))
+    scene = command("scene", "list what the arm must not touch, or write it for another planner")
+    scene.add_argument(
+        "--moveit", metavar="FILE", help="write what stands in it as a .scene file of MoveIt; - for the terminal"
+    )
     with contextlib.suppress(ExtensionAbsent):
         steps = extension("work.twin_arguments").add_steps
         steps(command("work", "work from a building model: its tasks, what comes next, what people say"), common)
-    _add_watch(command("watch", "show states, joint errors and what was late until Ctrl-C"))
+    watch = command("watch", "show states, joint errors and what was late until Ctrl-C")
+    watch.add_argument("--once", action="store_true", help="print one picture and end")
     return root
 
 
@@ -131,11 +137,6 @@ def _add_plan(plan: argparse.ArgumentParser) -> None:
     _add_pace(plan)
 
 
-def _add_export(export: argparse.ArgumentParser) -> None:
-    export.add_argument("file", metavar="FILE", help="the file to write; -: standard output")
-    export.add_argument("--deg", action="store_true", help="in deg and mm [rad and m, to the last bit]")
-
-
 def _add_pace(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--speed", type=_fraction, metavar="PERCENT", help="fraction of the velocity limits [the planner's]"
@@ -161,16 +162,6 @@ def add_approve(approve: argparse.ArgumentParser) -> None:
         action="store_true",
         help="although its rehearsal is required, and missing or no pass; give --reason too",
     )
-
-
-def _add_scene(scene: argparse.ArgumentParser) -> None:
-    scene.add_argument(
-        "--moveit", metavar="FILE", help="write what stands in it as a .scene file of MoveIt; - for the terminal"
-    )
-
-
-def _add_watch(watch: argparse.ArgumentParser) -> None:
-    watch.add_argument("--once", action="store_true", help="print one picture and end")
 
 
 def check(options: argparse.Namespace) -> str:
@@ -216,7 +207,6 @@ def _positive(text: str) -> float:
 
 
 def _percent(text: str) -> float:
-    """Return a speed as a factor."""
     return _positive(text) / 100.0
 
 

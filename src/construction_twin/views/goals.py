@@ -19,17 +19,7 @@ _STANDING = ("", "base_link", "base", "world")
 
 
 def joint_goal(values: Sequence[float], robot: RobotModel) -> tuple[float, ...]:
-    """Return joint values.
-
-    Args:
-        values: Length n. [deg], or [mm] for a prismatic joint, in the order of ``robot.joint_names``.
-
-    Returns:
-        Length n. [rad] or [m]; not checked against the ranges, which the planner does.
-
-    Raises:
-        ConfigurationError: If their number is not the number of joints.
-    """
+    """Return joint values [rad], [m] of those given in [deg], [mm]; ConfigurationError where their number is wrong."""
     if len(values) != len(robot.joint_names):
         expected = f"{len(robot.joint_names)} values, one for each of {', '.join(robot.joint_names)}"
         raise ConfigurationError("--joints", list(values), expected)
@@ -37,15 +27,9 @@ def joint_goal(values: Sequence[float], robot: RobotModel) -> tuple[float, ...]:
 
 
 def pose_goal(values: Sequence[float], frame: str = "") -> Pose:
-    """Return a pose.
+    """Return a pose of X, Y, Z [mm] and KUKA's angles A, B, C [deg] in a frame, by default the robot's base.
 
-    Args:
-        values: Length 6. X, Y, Z [mm], A, B, C [deg]: KUKA's angles, about Z, the new Y, the new X.
-        frame: What the values are given in; empty: the robot's base.
-
-    Raises:
-        ConfigurationError: If the place is so near to the robot's base or the world's origin that metres were probably meant. Never
-            converted.
+    ConfigurationError where it is so near to base or world that metres were probably meant: they are never converted.
     """
     x, y, z, *angles = values
     # in a frame on the tool or on an element a few mm are a goal like any other

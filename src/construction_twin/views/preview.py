@@ -1,8 +1,6 @@
 """What a reviewer sees of a plan before approving it: a ghost that plays it, and what a work plan does to the objects.
 
-Pure; joint values in rad (m for a prismatic joint), times in s on any monotonic clock. The changes of the scene that are told with
-a plan are for displays; whether they lead to the scenes that an approval covers can be said only where the scene before them is
-known, and is said then.
+Pure; joint values in rad (m for a prismatic joint), times in s on any monotonic clock.
 """
 
 from __future__ import annotations
@@ -23,12 +21,7 @@ LOOP_REST = 0.5
 
 @dataclass(frozen=True)
 class Playing:
-    """A ghost that plays a plan.
-
-    Attributes:
-        began: [s]
-        speed: 1: as fast as the plan.
-    """
+    """A plan that the ghost plays since `began` [s]."""
 
     plan: Plan
     began: float
@@ -48,13 +41,9 @@ class Playing:
 
 
 class Preview:
-    """Which plan is shown, and where the ghost is.
+    """Which plan is shown, under review or approved and not at its end, and where the ghost is.
 
-    The ghost stands at the goal of the plan under review, and plays it when asked to, from its start. Without a plan under review
-    it has the twin's pose and is hidden by it.
-
-    Attributes:
-        plan: The plan that is shown: under review, or approved and not at its end.
+    It stands at the goal of the plan under review, and plays it when asked to; else it has the twin's pose, and is hidden by it.
     """
 
     def __init__(self):
@@ -94,15 +83,7 @@ class Preview:
         self._twin = q
 
     def play(self, speed: float, loop: bool, now: float) -> str:
-        """Let the ghost play the plan under review from its start; return one sentence.
-
-        Args:
-            speed: 1: as fast as the plan; 0 ends the preview.
-            now: [s]
-
-        Raises:
-            ReviewError: If the speed is negative or not finite, or no plan is under review.
-        """
+        """Let the ghost play the plan under review, at 1 as fast as the plan; 0 ends the preview. ReviewError where it cannot."""
         if not 0.0 <= speed < math.inf:
             raise ReviewError(f"a preview at speed {speed} was asked for; expected a positive number, or 0 to end it")
         if speed == 0.0:
@@ -138,11 +119,7 @@ class Preview:
 class WorkStates:
     """The objects that a work plan moves.
 
-    Attributes:
-        carried: Of each segment: what the arm carries during it, in the link that carries it; and, as one more, what it carries in
-            the end.
-        placed: What stands elsewhere in the end than before, or is new.
-        problem: Why what is drawn may not be what is approved, as a sentence; empty: it is.
+    `carried`: in each segment, and in the end; `placed`: what stands elsewhere then, or is new; `problem`: why that may not be so.
     """
 
     carried: tuple[tuple[SceneObject, ...], ...]
@@ -156,12 +133,7 @@ class WorkStates:
 
 
 def work_states(plan: Plan, changes: Sequence[SceneChange], scene: Scene | None) -> WorkStates:
-    """Return what a work plan does to the objects.
-
-    Args:
-        changes: As told with its segments; fewer: not told.
-        scene: The present scene. Unless it is the one that the plan begins in, only what the changes say is known.
-    """
+    """Return what a work plan does to the objects; without the scene that it begins in, only what the changes say is known."""
     known = scene is not None and scene.hash == plan.scene
     present = scene if scene is not None and known else Scene()
     before = {item.name: item for item in present.objects}

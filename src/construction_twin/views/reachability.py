@@ -1,8 +1,4 @@
-"""Can the arm bring its tool to a pose without touching anything? A quick answer for an operator who drags the marker.
-
-The solutions and contacts are those that `planning.planner.Planner.plan_to_pose` starts from. Whether a path leads there only
-planning can tell. SI; poses are ``base_T_tool``; sentences are in deg and mm.
-"""
+"""Whether the arm can bring its tool to a pose without touching anything; whether a path leads there, planning tells."""
 
 from __future__ import annotations
 
@@ -35,12 +31,7 @@ class Reach(enum.Enum):
 
 @dataclass(frozen=True, eq=False)
 class PoseVerdict:
-    """The answer.
-
-    Attributes:
-        q: Shape (n,). The joint solution that was judged [rad], [m] for prismatic joints.
-        between: Length 0 or 2. The two bodies that touch.
-    """
+    """The answer, the joint solution that was judged, shape (n,) [rad], [m], and the two bodies that touch."""
 
     reach: Reach
     sentence: str
@@ -49,14 +40,7 @@ class PoseVerdict:
 
 
 def judge_pose(pose: Pose, seed: Sequence[float], solver: InverseKinematics, world: CollisionWorld) -> PoseVerdict:
-    """Judge a pose.
-
-    Args:
-        seed: Length n. The arm's present joint values [rad], [m] for prismatic joints, within their ranges.
-
-    Returns:
-        Of the nearest joint solution that is free; if none is, of the nearest one.
-    """
+    """Judge a pose from the arm's present joint values: of the nearest joint solution that is free; if none is, of the nearest."""
     try:
         solutions = [solution.q for solution in solver.all(pose, seed)]
     except NotFoundError as error:

@@ -18,15 +18,9 @@ WHO = ("", SYSTEM, OPERATOR, REVIEWER, TECHNICIAN)
 
 @dataclass(frozen=True)
 class Deployment:
-    """What was started, and where the rest should be.
+    """What was started, and where the rest should be; `broker`, `rsi`: HOST:PORT, port 0 is the Ethernet XML's.
 
-    Attributes:
-        namespace: Of the robot, absolute.
-        arm: ``mock``, ``real`` or ``none``.
-        broker: HOST:PORT
-        rsi: HOST:PORT on which the gateway should listen; port 0: that of the Ethernet XML.
-        gateway: The gateway is started on this machine.
-        gateway_kind: ``rsi``: rsi_gateway takes the commands; ``plc``: a bare PLC.
+    `gateway`: started on this machine. `gateway_kind`: ``rsi``, or ``plc`` for a bare PLC.
     """
 
     namespace: str
@@ -47,11 +41,7 @@ class Deployment:
 
 @dataclass(frozen=True)
 class Word:
-    """State word and reason of a report.
-
-    Attributes:
-        gateway: State of the gateway, in the bridge's report.
-    """
+    """State word and reason of a report; in the bridge's also the gateway's state."""
 
     state: str
     reason: str
@@ -60,13 +50,7 @@ class Word:
 
 @dataclass(frozen=True)
 class Seen:
-    """What was heard so far.
-
-    Attributes:
-        feedback, twin, scene: Whether a pose of the arm, a pose of the twin, a scene has come.
-        controller: Why the arm may not move, as the controller says itself; "" for no reason.
-        clock: By how much the controller's clock is off, as the gateway has measured it; "" when it is not known to be.
-    """
+    """What was heard so far; `controller`, `clock`: why the arm may not move, how far the controller's clock is off; or ""."""
 
     link: Word | None = None
     sync: Word | None = None
@@ -222,11 +206,7 @@ class StartUp:
         self._clock = _Beside("the controller's clock is right again")
 
     def update(self, seen: Seen, now: float) -> list[str]:
-        """Take what is seen; return the lines that are news.
-
-        Args:
-            now: On a clock that never runs back [s].
-        """
+        """Take what is seen at a time that never runs back [s]; return the lines that are news."""
         beside = self._controller.update(seen.controller, now) + self._clock.update(seen.clock, now)
         return self._progress(seen, now) + beside
 
@@ -304,7 +284,6 @@ _Found = tuple[str, str] | None
 
 
 def _link(seen: Seen, deployment: Deployment) -> _Found:
-    """Broker, gateway, configuration, controller, first feedback."""
     word = seen.link or Word("", "")
     state, reason = word.state, word.reason
     if not state:

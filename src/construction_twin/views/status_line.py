@@ -1,7 +1,6 @@
-"""The status line that a foreman reads: what the arm does now, why it holds, what is waited for, by whom, and what to do.
+"""The status line that a foreman reads: what the arm does, why it holds, what is waited for, by whom, and what to do.
 
-One table gives every state of `link`, `sync`, `execution` and the work its urgency, words and page; the reasons are those of the
-nodes themselves. Pure; texts only.
+One table has the words of every state; the reasons are those of the nodes.
 """
 
 from __future__ import annotations
@@ -27,14 +26,7 @@ class Level(IntEnum):
 
 @dataclass(frozen=True)
 class Words:
-    """What is said of a state.
-
-    Attributes:
-        who: Who is waited for, of `startup.WHO`.
-        page: Below docs/, with its anchor.
-        sentence: What is so; the reason comes behind it.
-        waits_for, todo: "" for nothing.
-    """
+    """What is said of a state: a sentence, who of `startup.WHO` is waited for, for what, what to do, and a page below docs/."""
 
     level: Level
     who: str
@@ -260,16 +252,9 @@ _OVER = frozenset(("done", "skipped"))
 
 @dataclass(frozen=True)
 class ReportsNow:
-    """What the nodes say now; a report that is None is silent.
+    """What the nodes say now; None: silent. `bare`: with a bare PLC; `started`: it is known what the start waits for.
 
-    Attributes:
-        bare: A bare PLC takes the commands.
-        obstacle: Why that plan could not be approved now; empty: it could.
-        cause: Why the arm holds, as `hold_cause` says it; empty: it does not.
-        engaged: The executor reviews the way back only.
-        work: None: there is no building model.
-        started: It is known what the start waits for.
-        missing: What that is; None: everything is there.
+    `plan`, `obstacle`: under review, and why it could not be approved now; `cause`: as `hold_cause`; `work` None: no model.
     """
 
     link: Word | None = None
@@ -288,13 +273,7 @@ class ReportsNow:
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
-    """One line of <prefix>/<robot>/screen: the status line. What has a default may be missing there.
-
-    Attributes:
-        state: Of `TABLE`; of what a start waits for, its kind.
-        level: Number of a `Level`.
-        said: What another language needs of these sentences (`core.sentences`).
-    """
+    """One line of <prefix>/<robot>/screen, of a state of `TABLE`; `said`: what another language needs (`core.sentences`)."""
 
     topic: str
     state: str = ""

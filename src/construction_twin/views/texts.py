@@ -26,13 +26,7 @@ READY = {"link": "ARMED", "sync": "IN_SYNC", "execution": "IDLE"}
 
 @dataclass(frozen=True)
 class Snapshot:
-    """One robot at one moment.
-
-    Attributes:
-        now: ROS time [s].
-        hold: Why the gate is closed; None: nothing is known of it.
-        silent: How long ``link``, ``sync``, ``execution`` have been silent [s], if too long.
-    """
+    """One robot at a time `now` [s]; `silent`: for how long ``link``, ``sync``, ``execution`` have been silent [s], if too long."""
 
     robot: str
     now: float
@@ -46,10 +40,7 @@ class Snapshot:
     silent: Mapping[str, float] = field(default_factory=dict)
 
     def not_ready(self) -> list[str]:
-        """Return why no plan could be approved now, one sentence per reason; empty when one could.
-
-        A system without an arm (`arm:=none`) has no link, and needs none.
-        """
+        """Return why no plan could be approved now, one sentence per reason; a system without an arm needs no link."""
         lacking: list[str] = []
         for name, wanted in READY.items():
             facts = getattr(self, name)
@@ -78,12 +69,7 @@ def joint_value(value: float, linear: bool, decimals: int = 3) -> str:
 
 
 def plan_lines(plan: Plan, linear: Sequence[bool], changes: Sequence[SceneChange] = ()) -> list[str]:
-    """Return the lines about a plan that a reviewer needs.
-
-    Args:
-        linear: Length n. Which joints are linear, in the plan's order.
-        changes: What the segments of a work plan do to the scene, as told with it.
-    """
+    """Return the lines about a plan that a reviewer needs; `changes`: what a work plan's segments do to the scene."""
     trajectory = plan.trajectory
     names = trajectory.joint_names
     goal = ", ".join(
@@ -102,12 +88,7 @@ def plan_lines(plan: Plan, linear: Sequence[bool], changes: Sequence[SceneChange
 
 
 def describe(plan: Plan, changes: Sequence[SceneChange] = (), problem: str = "") -> str:
-    """Return the lines that stand over a plan in rviz.
-
-    Args:
-        changes: As of `plan_lines`.
-        problem: Why what is drawn of a work plan may not be what is approved.
-    """
+    """Return the lines that stand over a plan in rviz; `problem`: why what is drawn may not be what is approved."""
     lines = [f"{plan.trajectory.duration:.2f} s, {plan.planner} for {plan.source}"]
     if plan.segments:
         lines += [f"task {cut(plan.task)}, blue: engaged", *([f"LOOK TWICE: {problem}"] if problem else [])]
@@ -237,11 +218,7 @@ def work_lines(execution: ExecutionReport | None) -> list[str]:
 
 
 def controller_words(told: Mapping[str, str]) -> str:
-    """Return what the controller says on its optional channels, e.g. ``T1, program ACTIVE, override 100 %``; "" for nothing.
-
-    Args:
-        told: `LinkReport.gateway_counters`.
-    """
+    """Return what the controller says on its optional channels, e.g. ``T1, program ACTIVE, override 100 %``; "" for nothing."""
     mode, program, override = (told.get(f"controller_{name}", "") for name in ("mode", "program", "override_percent"))
     words = [mode] if mode else []
     words += [f"program {program}"] if program else []
@@ -264,11 +241,8 @@ def under_review(plan: Plan | None) -> str:
 def waiting_plan(plan: Plan) -> str:
     """Return the short line about the plan under review that stands beside the marker."""
     clearance = plan.report.clearance.distance
-    if math.isfinite(clearance):
-        return (
-            f"plan {plan.id[:8]} waits for approval: {plan.trajectory.duration:.1f} s, closest {clearance * 1e3:.0f} mm"
-        )
-    return f"plan {plan.id[:8]} waits for approval: {plan.trajectory.duration:.1f} s"
+    closest = f", closest {clearance * 1e3:.0f} mm" if math.isfinite(clearance) else ""
+    return f"plan {plan.id[:8]} waits for approval: {plan.trajectory.duration:.1f} s{closest}"
 
 
 def between(bodies: Sequence[str]) -> str:
@@ -282,11 +256,7 @@ def because(reason: str) -> str:
 
 
 def range_sentence(joint: str, value: float, robot: RobotModel) -> str:
-    """Return how far a joint would have to go beyond its range, for people.
-
-    Args:
-        value: What it would have to be [rad, or m].
-    """
+    """Return how far a joint would have to go beyond its range, for people; `value` in [rad], [m]."""
     number = robot.joint_names.index(joint)
     linear = robot.linear[number]
     needed, lower, upper = (joint_value(each, linear, 1) for each in (value, robot.lower[number], robot.upper[number]))

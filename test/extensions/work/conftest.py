@@ -21,7 +21,7 @@ def read(tmp_path):
         else:
             path.write_bytes(model if isinstance(model, bytes) else model.encode("ascii"))
         found = read_ifc(path, 1 << 24)
-        save(found, tmp_path / "model.npz")
-        return load(tmp_path / "model.npz", found.file, found.digest)
+        save(found, tmp_path / "model.json")
+        return load(tmp_path / "model.json", found.file, found.digest)
 
     return write_and_read

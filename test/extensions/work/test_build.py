@@ -1,4 +1,4 @@
-"""`make build`: how long it waits for a model, what it leaves when a task fails, and its figures."""
+"""`make build`: how long it waits for a model, what it leaves when a task fails, and what it answers for people."""
 
 from __future__ import annotations
 
@@ -14,12 +14,8 @@ from construction_twin.srv import WorkPlanTask, WorkPlanTaskResponse
 from rich.console import Console
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.reports import TaskReport
-from construction_twin.core.units import NANOSECONDS
 from construction_twin.extensions.work.commands import build
 
-#: 2027-01-04 08:00 UTC [s].
-EIGHT = 1_799_049_600
 READING = WorkTasks(model="wall.ifc", reading=True, reason="the model is being read")
 
 
@@ -27,18 +23,17 @@ class Waiting(build.Builder):
     """Its time goes on by 30 s whenever it waits for news; `said` is what the node says by then."""
 
     def __init__(self, monkeypatch, said, is_there=True):
-        self.now, self._said, self._newest = 0.0, iter(said), {}
+        self.now, self._said, self._newest = 0.0, iter(said), {"execution": Execution()}
         self._settings = SimpleNamespace(timeout=120.0)
         self._subscribers = {"work/tasks": SimpleNamespace(get_num_connections=lambda: int(is_there))}
-        self._say = lambda _: None
         monkeypatch.setattr(build.time, "monotonic", lambda: self.now)
 
     def _pause(self):
         self.now += 30.0
-        self._newest["work/tasks"] = next(self._said, self._newest.get("work/tasks"))
+        self._newest |= {"work/tasks": work for work in [next(self._said, None)] if work is not None}
 
     def wait(self):
-        self._wait_for_model(0.0)
+        self._wait(self._is_read, "a work node that reads the model", self._is_reading)
 
 
 def test_a_model_that_cannot_be_read_ends_it_at_once_with_the_reason(monkeypatch):
@@ -83,9 +78,10 @@ def test_a_task_that_fails_ends_it_with_the_figures_of_what_was_done(monkeypatch
     grip = SimpleNamespace(confirm={})
     monkeypatch.setattr(build, "read_tool", lambda _: SimpleNamespace(tool=SimpleNamespace(grip=grip)))
     settings = build.Settings(results_dir=str(tmp_path), arm="mock", tool="tool.yaml", most=0, timeout=1.0)
-    builder = build.Builder(settings, Console(file=io.StringIO(), width=200))
+    console = io.StringIO()
+    builder = build.Builder(settings, Console(file=console, width=200))
     rows = [
-        WorkTask(id=task, name=f"Task {task}", element=task, state=state)
+        WorkTask(id=task, name=f"Task {task}", element=task, state=state, deviation_mm=0.013, mass_kg=math.nan)
         for task, state in (("a", "done"), ("b", "ready"))
     ]
     builder._newest |= {
@@ -98,35 +94,11 @@ def test_a_task_that_fails_ends_it_with_the_figures_of_what_was_done(monkeypatch
         builder.run()
     (file,) = tmp_path.glob("*_build/work.json")
     found = json.loads(file.read_text())
-    assert (found["tasks"], found["done"]) == (2, 1)
-
-
-def report(name, at, took, **changes):
-    values = {
-        "id": name, "name": name, "element": f"id-{name}", "element_name": name, "state": "done", "reason": "", "after": (),
-        "deviation_mm": 0.0131, "deviation_deg": 2.8e-14, "tolerance_mm": 5.0, "tolerance_deg": 0.573, "mass_kg": 10.5,
-        "grip": "up 0 mm along", "scheduled_start": "2027-01-04T08:00:00", "scheduled_duration": 30.0,
-    }  # fmt: skip
-    times = {"begun": (EIGHT + at) * NANOSECONDS, "settled": (EIGHT + at + took) * NANOSECONDS}
-    return TaskReport(**{**values, **times, **changes})
-
-
-def test_the_figures_say_order_deviation_and_time_and_leave_out_what_is_not_known():
-    late, off = report("first", 300, 50), report("stud", 60, 40, deviation_mm=6.2, deviation_deg=0.1)
-    todo = report(
-        "plate", 0, 0, state="waiting", deviation_mm=math.nan, deviation_deg=math.nan, begun=0, settled=0,
-        mass_kg=math.nan, scheduled_start="", scheduled_duration=math.nan,
-    )  # fmt: skip
-    efforts = {"first": build.Effort(2.0, 14.0, 1), "stud": build.Effort(2.0, 14.0, 2), "plate": build.Effort()}
-    found = build.figures((late, off, todo), efforts)
-    assert (found["done"], found["as_scheduled"], found["replanned"]) == (2, False, 1)
-    first, stud, plate = found["elements"]
-    assert (first["order"], first["scheduled_s"], first["took_s"], first["within_tolerance"]) == (2, 30.0, 50.0, True)
-    assert (stud["order"], stud["within_tolerance"]) == (1, False)
-    assert (plate["order"], plate["mass_kg"], plate["settled"], plate["within_tolerance"]) == (None, None, None, None)
-    said = io.StringIO()
-    Console(file=said, width=200).print(build.table(found))
-    assert all(text in said.getvalue() for text in ("within tolerance", "False", "6.2"))
+    assert (found["tasks"], found["done"], found["decisions"]) == (2, 1, [])
+    first, second = found["elements"]
+    assert (first["element"], first["state"], first["deviation_mm"], first["plans"]) == ("a", "done", 0.013, 0)
+    assert (second["state"], second["mass_kg"], second["planning_s"]) == ("ready", None, 0.0)
+    assert "0.013" in console.getvalue()
 
 
 CONFIRM = {"vacuum_reached": True}

@@ -1,5 +1,6 @@
 """What is found out about each task before anything starts, and how it is told."""
 
+import io
 import os
 import signal
 import subprocess
@@ -12,6 +13,7 @@ import pytest
 import yaml
 from building_models import box, building, element
 from processes import wait_until
+from rich.console import Console
 from work_samples import robot
 
 from construction_twin.extensions.work.building import Task
@@ -45,14 +47,14 @@ def given(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def found(given):
-    seen = []
-    return check_all(2, lambda *done: seen.append(done), **given), seen
+    shown = io.StringIO()
+    return check_all(2, Console(file=shown, force_terminal=True, width=80), **given), shown.getvalue()
 
 
 def test_each_task_is_told_in_the_schedules_order_whenever_it_was_found(found):
-    checked, seen = found
+    checked, shown = found
     assert [task.name for task in checked.tasks] == ["Place near", "Place far", "Place empty"]
-    assert seen == [(0, 3), (1, 3), (2, 3), (3, 3)] and checked.rss_mb > 0.0
+    assert "checking" in shown and "100%" in shown and checked.rss_mb > 0.0
 
 
 def test_a_possible_task_has_grip_track_clearance_time_and_path(found):

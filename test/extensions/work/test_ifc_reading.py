@@ -5,6 +5,8 @@ Most hostile files are read in a fork of this process within the same limits, wh
 
 from __future__ import annotations
 
+import base64
+import json
 import multiprocessing
 import os
 import re
@@ -111,31 +113,56 @@ def test_a_damaged_cache_is_made_anew(path, tmp_path):
     assert kept.read_bytes() == whole
 
 
+def numbers(array, *shape):
+    """An array as the process writes it."""
+    kind = array.dtype.kind if array.dtype.kind in "fi" else "f"
+    return [kind, base64.b64encode(array.tobytes()).decode(), *(shape or array.shape)]
+
+
+CORNERS = np.zeros((4, 3))
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"indices": np.array([0, 1, 10**6], dtype=np.int32)}, "array 'indices' shorter"),
-        ({"numbers": np.full(10**6, np.nan)}, "no finite numbers"),
-        ({"numbers": np.zeros(1, dtype=object)}, "array|pickle|allow_pickle"),
-        ({"numbers": np.zeros((3, 3))}, r"array 'numbers' of float64 and shape \(3, 3\)"),
-        ({"text": np.frombuffer(b"[]", dtype=np.uint8)}, "TypeError"),
-        ({"text": np.frombuffer(b"[" * 10**6, dtype=np.uint8)}, "RecursionError"),
-        ({"indices": np.full(10**6, 10**6, dtype=np.int32)}, "corners that are not there"),
-        ({"indices": np.full(10**6, -1, dtype=np.int32)}, "corners that are not there"),
-        # a sentence that would be longer than what is said of a file
-        ({"numbers": np.zeros(1, dtype=[("x" * 1000, "f8")])}, "found array 'numbers' of .{0,182}, expected a"),
+        ({"triangles": numbers(np.array([[0, 1, 10**6]], dtype=np.int32))}, "corners that are not there"),
+        ({"triangles": numbers(np.array([[0, 1, -1]], dtype=np.int32))}, "corners that are not there"),
+        ({"triangles": numbers(CORNERS)}, r"float64 and shape \(4, 3\)"),
+        ({"vertices": numbers(CORNERS.astype(np.int32))}, r"int32 and shape \(4, 3\)"),
+        ({"vertices": numbers(CORNERS.ravel())}, r"shape \(12,\)"),
+        ({"vertices": numbers(CORNERS, 5, 3)}, "cannot reshape"),
+        ({"vertices": numbers(np.full((4, 3), np.nan))}, "no finite numbers"),
+        ({"vertices": ["O", "", 0, 3]}, "KeyError"),
+        ({"vertices": ["f", "AAAA", 0, 3]}, "ValueError"),
+        ({"vertices": "corners"}, "vertices"),
+        ({"position": numbers(np.zeros(4))}, r"a pose is a position of shape"),
     ],
 )
 def test_what_the_process_wrote_is_checked(tmp_path, path, change, said):
     model = read_ifc(path, 1 << 24)
-    kept = tmp_path / "model.npz"
+    kept = tmp_path / "model.json"
     reading.save(model, kept)
-    with np.load(kept) as stored:
-        arrays = dict(stored)
-    np.savez(kept, **(arrays | change))
+    document = json.loads(kept.read_text())
+    element = next(each for each in document["model"]["elements"].values() if each["bodies"])
+    for record in (element["model_T_element"], element["bodies"][0]):
+        record |= {
+            name: {model.digest: value} if isinstance(value, list) else value
+            for name, value in change.items()
+            if name in record
+        }
+    kept.write_text(json.dumps(document))
     with pytest.raises(BuildingError, match=said) as caught:
         reading.load(kept, model.file, model.digest)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"), [("[]", "TypeError"), ("[" * 10**6, "RecursionError"), ("{}", "KeyError"), ("\x00", "JSONDecode")]
+)
+def test_what_is_no_model_at_all_is_said_in_one_sentence(tmp_path, text, said):
+    (tmp_path / "model.json").write_text(text)
+    with pytest.raises(BuildingError, match=said):
+        reading.load(tmp_path / "model.json", "x.ifc", "0" * 64)
 
 
 NOT_WHOLE = {
@@ -196,7 +223,7 @@ ENDS = {
     "nonsense": (SAY + "said.write('hello')", "no result"),
     "endless": (SAY + "said.write('x' * 10**6)", "no result"),
     "error without its parts": (SAY + "said.write('[1]')", "no result"),
-    "liar": (SAY + "open(sys.argv[3], 'wb').write(b'PK')", "what the reading process wrote: found BadZipFile"),
+    "liar": (SAY + "open(sys.argv[3], 'wb').write(b'PK')", "what the reading process wrote: found JSONDecodeError"),
     "raised": ("raise RuntimeError", "code 1 and no result"),
 }
 

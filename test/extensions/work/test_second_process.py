@@ -32,11 +32,11 @@ from construction_twin.extensions.work.following import after_restart
 from construction_twin.extensions.work.heard import GripReading
 from construction_twin.extensions.work.ledger import Ledger
 from construction_twin.extensions.work.prepared import Prepared
-from construction_twin.extensions.work.recipes import read_recipes
+from construction_twin.extensions.work.process import read_recipes
 from construction_twin.extensions.work.schedule import Job, Schedule
 from construction_twin.extensions.work.site_scene import StockPlan
 from construction_twin.extensions.work.task_memory import Entry, NotNow, TaskMemory, TaskState
-from construction_twin.extensions.work.worker_functions import Checker
+from construction_twin.extensions.work.worker_functions import Session
 from construction_twin.planning.planner import PlanRequest
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.work_plan import plan_work
@@ -91,10 +91,10 @@ def test_a_wrong_key_of_its_recipe_is_named(tmp_path, change, sentence):
 
 
 def test_what_is_not_moved_has_no_slot_and_stands_at_its_place_from_the_beginning(work):
-    assert work.slot("brick0") is None and work.stays == ("brick0",)
-    assert work.slot("brick1").number == 0
+    assert "brick0" not in work.stock.slots and work.stays == ("brick0",)
+    assert work.stock.slots["brick1"].number == 0
     there = work.scene().get("brick0/0").pose.position
-    assert np.allclose(there, product(work.base_T_goal("brick0"), work.pieces("brick0")[0].pose).position)
+    assert np.allclose(there, product(work.base_T_goal("brick0"), work.pieces["brick0"][0].pose).position)
     assert work.job_for("brick0", work.scene()).base_T_stock is None
 
 
@@ -117,7 +117,7 @@ def test_whoever_checks_it_for_review_takes_it(plan, work):
 
 def test_the_check_before_the_work_plans_it_too(work):
     schedule = Schedule((Job("T1", "T1", "Probe brick", "brick0", (), (), "touch"),), ())
-    found = Checker(robot(), planner(work.site.recipes), work, schedule, {}, lambda: 0.0).check(0)
+    found = Session(robot(), planner(work.site.recipes), work, schedule, {}).check(0)
     assert found.possible and found.grip == "point 50 0 71 mm" and found.track is not None and found.path
 
 

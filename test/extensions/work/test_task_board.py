@@ -74,7 +74,9 @@ def board(tmp_path: Path, clock: Clock, proposed: bool = False, robot: str = "kr
 
 def build(one: TaskBoard, task: str, until: str = "finished", stands: Pose | None = None) -> None:
     for event in ("offered", "planned", "begun", "gripping", "gripped", "releasing", "released", "finished"):
-        pose = {"offered": pose_tuple(HELD), "released": pose_tuple(stands or one.goal(task))}.get(event, ())
+        pose = {"offered": pose_tuple(HELD), "released": pose_tuple(stands or one.built.element(task).base_T_goal)}.get(
+            event, ()
+        )
         one.add(Entry(event, task, plan="p", offer="o", pose=pose))
         if event == until:
             return
@@ -206,10 +208,12 @@ def test_what_others_came_after_is_not_done_again_before_them(tmp_path, clock):
 def test_a_measured_pose_replaces_the_arms(tmp_path, clock):
     one = board(tmp_path, clock)
     with pytest.raises(WorkRefused, match="is not placed yet"):
-        decisions.measured(one, "E1", one.goal("T1"), "eva", "tape")
+        decisions.measured(one, "E1", one.built.element("T1").base_T_goal, "eva", "tape")
     build(one, "T1")
     assert one.built.deviation("T1").distance == pytest.approx(0.0, abs=1e-12)
-    found = decisions.measured(one, "E1", product(one.goal("T1"), at(0.003, 0.0, 0.0, 0.01)), "eva", "tape")
+    found = decisions.measured(
+        one, "E1", product(one.built.element("T1").base_T_goal, at(0.003, 0.0, 0.0, 0.01)), "eva", "tape"
+    )
     assert (found.distance, found.angle) == (pytest.approx(0.003), pytest.approx(0.01))
     row = one.report(clock()).tasks[0]
     assert row.deviation_mm == pytest.approx(found.distance * 1e3)
@@ -219,7 +223,7 @@ def test_a_measured_pose_replaces_the_arms(tmp_path, clock):
         with pytest.raises(WorkRefused, match="m from where the model has"):
             decisions.measured(one, "E1", wrong, "eva", "")
     with pytest.raises(WorkRefused, match="`twin work list` names them"):
-        decisions.measured(one, "E9", one.goal("T1"), "eva", "")
+        decisions.measured(one, "E9", one.built.element("T1").base_T_goal, "eva", "")
 
 
 def test_an_element_that_can_never_be_planned_stops_only_what_waits_for_it(tmp_path, clock):
@@ -273,12 +277,14 @@ def test_the_scene_follows_the_ledger(tmp_path, clock):
 def test_a_planned_pose_is_not_told_as_measured(tmp_path, clock):
     one = board(tmp_path, clock)
     build(one, "T1", until="releasing")
-    one.ledger.add(Entry("released", "T1", "E1", pose=pose_tuple(one.goal("T1")), source="planned"))
+    one.ledger.add(
+        Entry("released", "T1", "E1", pose=pose_tuple(one.built.element("T1").base_T_goal), source="planned")
+    )
     one.ledger.add(Entry("finished", "T1", "E1"))
     assert (
         one.built.deviation("T1") is None and "placed; as planned, not measured" in one.report(clock()).tasks[0].reason
     )
-    decisions.measured(one, "E1", one.goal("T1"), "eva", "tape")
+    decisions.measured(one, "E1", one.built.element("T1").base_T_goal, "eva", "tape")
     assert one.built.deviation("T1").distance == pytest.approx(0.0, abs=1e-12)
 
 
@@ -320,13 +326,15 @@ def test_people_see_what_comes_next_what_is_there_and_what_is_off(tmp_path, cloc
     build(one, "T1", until="gripped")
     assert words("E1") == ["todo", "carried"]
     one.ledger.add(Entry("releasing", "T1", "E1"))
-    one.ledger.add(Entry("released", "T1", "E1", pose=pose_tuple(one.goal("T1"))))
+    one.ledger.add(Entry("released", "T1", "E1", pose=pose_tuple(one.built.element("T1").base_T_goal)))
     assert words("E1") == ["placed"]
     one.ledger.add(Entry("finished", "T1", "E1"))
-    decisions.measured(one, "E1", product(one.goal("T1"), at(0.05)), "eva", "tape")
+    decisions.measured(one, "E1", product(one.built.element("T1").base_T_goal, at(0.05)), "eva", "tape")
     assert words("E1") == ["off"]
     there = next(each.pose.position for each in one.built.appearances(one.next(clock())) if each.element == "E1")
-    assert there == pytest.approx(product(one.goal("T1"), at(0.05)).position), "it is drawn where it stands"
+    assert there == pytest.approx(product(one.built.element("T1").base_T_goal, at(0.05)).position), (
+        "it is drawn where it stands"
+    )
     decisions.skip(one, "T2", "eva", "")
     assert words("E2") == ["skipped"]
 

@@ -184,7 +184,10 @@ def test_an_element_is_placed_then_touched_where_it_stands_and_each_is_in_the_le
     assert board.next(NOW) == work.place and "waits for" in board.obstacle(work.touch, NOW)
     assert planned(work.place).segments[-1].name == "retreat"
     # it is let go 4 mm beside where the model has it
-    built = Pose(board.goal(work.place).position + (0.004, 0.0, 0.0), board.goal(work.place).rotation)
+    built = Pose(
+        board.built.element(work.place).base_T_goal.position + (0.004, 0.0, 0.0),
+        board.built.element(work.place).base_T_goal.rotation,
+    )
     for event in ("gripping", "gripped", "releasing"):
         board.ledger.add(Entry(event, work.place, element_id))
     board.ledger.add(Entry("released", work.place, element_id, pose=pose_tuple(built), source="measured"))
@@ -204,7 +207,7 @@ def test_an_element_is_placed_then_touched_where_it_stands_and_each_is_in_the_le
     ]
     assert written == [(work.place, "offered", ""), (work.touch, "offered", "touch")]
     again = Ledger(tmp_path / "l", made.after, made.digest, lambda: 1)
-    assert again.book.standing == (work.place,) and again.book.open == (work.other,)
+    assert again.book.tasks[work.place].placed and again.book.open == (work.other,)
     again.close()
 
 
@@ -231,7 +234,7 @@ def done(one: TaskBoard, task: str, until: str = "finished") -> None:
     moves = one.prepared.schedule.job(task).moves
     between = ("gripping", "gripped", "releasing", "released") if moves else ()
     for event in ("offered", "begun", *between, "finished"):
-        pose = pose_tuple(one.goal(task)) if event in ("offered", "released") and moves else ()
+        pose = pose_tuple(one.built.element(task).base_T_goal) if event in ("offered", "released") and moves else ()
         process = "touch" if event == "offered" and not moves else ""
         one.ledger.add(Entry(event, task, ELEMENT, plan="p", offer="o", pose=pose, process=process))
         if event == until:
@@ -247,7 +250,7 @@ def test_what_was_skipped_stands_only_when_a_person_says_where(tmp_path):
     decisions.skip(one, PLACE, "eva", "")
     assert not [name for name in one.built.wanted_scene()[0] if name.startswith(ELEMENT)]
     assert "does not count as placed: 'Place stud' is skipped" in one.obstacle(TOUCH, NOW) and one.next(NOW) == ""
-    decisions.measured(one, ELEMENT, one.goal(PLACE), "eva", "by hand")
+    decisions.measured(one, ELEMENT, one.built.element(PLACE).base_T_goal, "eva", "by hand")
     assert one.next(NOW) == TOUCH and f"{ELEMENT}/0" in one.built.wanted_scene()[0]
 
 
@@ -278,7 +281,14 @@ def test_what_a_former_task_placed_is_touched_there_and_only_what_moves_it_is_as
     one = of_two(tmp_path)
     done(one, PLACE)
     decisions.measured(
-        one, ELEMENT, Pose(one.goal(PLACE).position + (0.05, 0.0, 0.0), one.goal(PLACE).rotation), "eva", ""
+        one,
+        ELEMENT,
+        Pose(
+            one.built.element(PLACE).base_T_goal.position + (0.05, 0.0, 0.0),
+            one.built.element(PLACE).base_T_goal.rotation,
+        ),
+        "eva",
+        "",
     )
     stands = one.built.wanted_scene()[0][f"{ELEMENT}/0"]
     one.ledger.close()

@@ -66,7 +66,7 @@ def opened(folder: Path, ready: Prepared, name: str = "kr120_deck", robot: str =
 
 def place(board: TaskBoard, *tasks: str, off: float = 0.0) -> None:
     for task in tasks:
-        stands = pose_tuple(Pose(board.goal(task).position + (0.0, off, 0.0), np.eye(3)))
+        stands = pose_tuple(Pose(board.built.element(task).base_T_goal.position + (0.0, off, 0.0), np.eye(3)))
         for event in EVENTS:
             pose = {"offered": HELD, "released": stands}.get(event, ())
             board.add(Entry(event, task, plan="p", offer="o", pose=pose))
@@ -263,7 +263,9 @@ def test_tasks_that_have_changed_their_elements_leave_them_where_they_stand(two_
     jobs = tuple(replace(job, id=other.get(job.element, job.id)) for job in ready.schedule.jobs)
     board = opened(two_placed, replace(ready, schedule=Schedule(jobs, ())))
     of_b(board)
-    assert stands(board, "oldA").position[0] == 0.0 and set(board.book.standing) == {"ToldA", "ToldB"}
+    assert stands(board, "oldA").position[0] == 0.0 and {
+        task for task, memory in board.book.tasks.items() if memory.placed
+    } == {"ToldA", "ToldB"}
     assert board.element_of("ToldA") == "oldB" == board.book.tasks["ToldA"].element
 
 
@@ -421,7 +423,9 @@ def test_an_element_without_a_body_does_not_keep_other_ledgers_from_being_read(t
 def test_what_another_robot_placed_is_asked_about_by_its_id_alone(two_placed):
     board = opened(two_placed, model("old", "A", digest="b"), "kr120_2_deck", "kr120_2")
     assert board.book.asking == ("ToldA",)
-    assert np.allclose(stands(board, "oldA").position, board.goal("ToldA").position), "its own frame is another one"
+    assert np.allclose(stands(board, "oldA").position, board.built.element("ToldA").base_T_goal.position), (
+        "its own frame is another one"
+    )
     board.ledger.close()
     other = opened(two_placed, model("new", "X", digest="c"), "kr120_3_deck", "kr120_3")
     assert other.next(NOW) == "TnewX"

@@ -11,8 +11,7 @@ from work_samples import RECIPES, element, job, recipes, tool
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.extensions.work.place.recipe import PlaceRecipe, mass_of
-from construction_twin.extensions.work.recipe import PROPERTY_SET
-from construction_twin.extensions.work.recipes import read_recipes
+from construction_twin.extensions.work.process import PROPERTY_SET, read_recipes
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,7 @@ DECIMALS, CYCLE_MS = 3, 4
 DRIVES = str(ROOT / "config/kr120_drives.yaml")
 #: Its hash only: nothing is in the way here.
 SCENE = "s"
-#: As in launch/gate.launch with the mock; a scenario's own settings have the last word.
+#: As in launch/bringup.launch with the mock; a scenario's own settings have the last word.
 LAG_MARGIN = 0.06
 #: Longest wait until a plan could be started, and for a `reset` [s].
 READY, RESET = 5.0, 5.0
@@ -260,8 +260,6 @@ class ScenarioRun:
             armed = chain.run_until(lambda: chain.supervisor.session != before and self.now("link") == "ARMED", RESET)
             if not armed:
                 raise ScenarioError(f"not armed within {RESET:g} s: {chain.supervisor.reason}")
-        elif service == "mock_rsi/restart":
-            self._request(chain.controller.restart)
         else:
             raise ScenarioError(f"{service}: no scenario on the simulated chain calls it")
 

@@ -48,7 +48,7 @@ PEER = ("192.168.1.30", 50_000)
 ARM = np.array(ROBOT.home)
 
 
-#: What launch/link.launch loads of it.
+#: What launch/bringup.launch loads of it.
 LAUNCHED = {"make": "frames", "cycle": CYCLE_MS}
 
 

@@ -247,7 +247,7 @@ def test_a_log_that_nobody_reads_holds_up_no_reply(broker, topics, config_file):
         (["--commissioning", "yes"], ("--commissioning: invalid choice: 'yes'", "rsi_gateway --help")),
         (["--stop-file", "/dev/null/a"], ("--stop-file", "/dev/null/a")),
         (["--prefix", "a/b"], ("prefix", "'a/b'", "letters, digits")),
-        (["--config", "/nowhere.json"], ("/nowhere.json", "No such file", "export_gateway_config")),
+        (["--config", "/nowhere.json"], ("/nowhere.json", "No such file", "twin gateway")),
     ],
 )
 def test_what_cannot_work_is_one_sentence_and_exit_code_2(config_file, arguments, said):

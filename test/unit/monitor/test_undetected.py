@@ -80,7 +80,7 @@ def test_what_is_shipped_for_a_real_arm():
 
 
 def test_only_the_mock_is_granted_more():
-    launch = ElementTree.parse(ROOT / "launch/gate.launch").getroot()
+    launch = ElementTree.parse(ROOT / "launch/bringup.launch").getroot()
     (raised,) = [param for param in launch.iter("param") if param.get("name") == "lag_margin"]
     assert raised.get("if") == "$(eval arg('arm') == 'mock')" and raised.get("value") == "0.06"
 

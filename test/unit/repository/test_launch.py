@@ -59,12 +59,11 @@ def test_the_controller_s_address_reaches_the_gateway(file, given):
     assert re.search(rf" --controller ['\"]?{given}['\"]? --broker ", arguments)
 
 
-def test_the_make_of_the_controller_reaches_gateway_bridge_and_mock():
-    names = ("gateway/make", "mock_rsi/make", "gateway/ethernet_xml", "mock_rsi/ethernet_xml")
-    known = parameters("bringup", "ethernet_xml:=/some.xml")
-    assert [known[f"/kr120/{name}"] for name in names] == ["rsi", "rsi", "/some.xml", "/some.xml"]
-    known = parameters("experiment", "controller_make:=frames")
-    assert [known.get(f"/kr120/{name}") for name in names] == ["frames", "frames", None, None]
+def test_the_controller_s_file_reaches_gateway_bridge_and_mock():
+    names = ("gateway/ethernet_xml", "mock_rsi/ethernet_xml")
+    for given, expected in (("/some.xml", "/some.xml"), ("none", None)):
+        known = parameters("bringup", f"ethernet_xml:={given}")
+        assert [known.get(f"/kr120/{name}") for name in names] == [expected, expected]
 
 
 def test_all_but_the_named_nodes_are_started_again():
@@ -84,7 +83,7 @@ def test_all_but_the_named_nodes_are_started_again():
 
 
 def test_no_node_makes_threads_for_matrices():
-    config = read_launch("bringup", "tool_marker:=true", "separation:=true", "console:=true")
+    config = read_launch("bringup", "gui:=marker", "separation:=true", "console:=true")
     assert {("OPENBLAS_NUM_THREADS", "1") in node.env_args for node in config.nodes} == {True}
 
 
@@ -118,7 +117,7 @@ SIMULATED = {"pca_monitor", "startup"}
 
 @pytest.mark.parametrize("twin", ["mujoco", "gazebo"])
 def test_who_decides_what_is_commanded_never_reads_a_simulated_pose(twin):
-    words = (f"twin:={twin}", "tool_marker:=true", "work_model:=/house.ifc", "work_cell:=/cell.yaml")
+    words = (f"twin:={twin}", "gui:=marker", "work_model:=/house.ifc", "work_cell:=/cell.yaml")
     readers = {
         shell.name
         for shell in node_shells()

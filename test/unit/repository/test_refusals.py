@@ -25,12 +25,12 @@ def free_port() -> int:
     "words, sentences",
     [
         (
-            [f"ethernet_xml:={XML}", "executor:=1", "console:=true", "console_port:=abc"],
-            ["Ethernet XML", "executor: found '1', expected an argument", "--port: invalid int value: 'abc'"],
+            [f"ethernet_xml:={XML}", "executor:=1", "console:=/no/console.yaml"],
+            ["Ethernet XML", "executor: found '1', expected an argument", "/no/console.yaml"],
         ),
         (
-            ["arm:=real", "auto_approve:=true", "broker_config:=/no/such.conf"],
-            ["auto_approve: found True", "bridge_account: found", "gateway_account: found", "broker_config: found '/no/such.conf'"],
+            ["arm:=real", "auto_approve:=true"],
+            ["auto_approve: found True", "accounts: found ''", "mosquitto.conf: found"],
         ),
     ],
 )  # fmt: skip

@@ -24,15 +24,14 @@ def run(folder: Path, *words: str | Path) -> tuple[int, str, list[str]]:
     return done.returncode, done.stdout, done.stderr.splitlines()
 
 
-@pytest.mark.parametrize("name", ["work", "console", "rehearse", "identify", "build"])
-def test_a_program_of_an_extension_says_which_it_lacks(tmp_path, name):
-    code, _, (sentence,) = run(tmp_path, ROOT / "nodes" / name)
+@pytest.mark.parametrize("words", ["work", "console", "evaluate rehearse", "evaluate identify", "experiment build"])
+def test_a_program_of_an_extension_says_which_it_lacks(tmp_path, words):
+    name, *rest = words.split()
+    code, _, (sentence,) = run(tmp_path, ROOT / "nodes" / name, *rest)
     assert code != 0 and "which this installation is without" in sentence
 
 
-@pytest.mark.parametrize(
-    "words", [(), ("console:=true", "console_page:=none"), ("twin:=mujoco",), ("rehearsal:=require",)]
-)
+@pytest.mark.parametrize("words", [(), ("console:=true",), ("twin:=mujoco",), ("rehearsal:=require",)])
 def test_preflight_says_ok_or_what_a_start_lacks(tmp_path, words):
     """Only what an argument asks of an extension refuses a start."""
     code, out, errors = run(tmp_path, ROOT / "nodes" / "preflight", *QUIET, *words)

@@ -22,7 +22,7 @@ from construction_twin.robot.description import (
     other_joints_text,
     read_robot_files,
 )
-from construction_twin.robot.home_command import home_positions
+from construction_twin.robot.launch_parameters import home_positions
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.messages.convert import pose_from_transform_msg
 from construction_twin.ros.nodes.display import RobotFrames

@@ -162,8 +162,8 @@ def test_a_master_that_does_not_keep_that_is_shown(clocks):
 
 
 def test_a_new_launch_begins_without_waiting():
-    launch = ElementTree.parse(Path(__file__).parents[3] / "launch/link.launch").getroot()
-    assert [param.get("value") for param in launch.findall("param") if param.get("name") == mqtt_bridge.WAITS] == [""]
+    launch = ElementTree.parse(Path(__file__).parents[3] / "launch/bringup.launch").getroot()
+    assert [param.get("value") for param in launch.iter("param") if param.get("name") == mqtt_bridge.WAITS] == [""]
 
 
 def test_in_mirror_mode_with_a_master_that_hangs_and_then_fails(clocks):

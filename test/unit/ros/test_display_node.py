@@ -62,7 +62,6 @@ class Bench:
         self.callbacks, self.services, self.refused = unplugged.callbacks, unplugged.services, unplugged.refused
         self.published, self.report = unplugged.published, unplugged.node.report
         self.messages = unplugged.published["plan_markers"]
-        self.rehearsals = unplugged.published["rehearsal_markers"]
         self._move_ghost, self._show_sync = unplugged.timers
 
     def hear_plan(self, plan: Plan) -> None:
@@ -89,11 +88,14 @@ class Bench:
     def hear_rehearsal(self, message: Rehearsal) -> None:
         self.callbacks["rehearsal"](message)
 
+    @property
+    def rehearsal(self) -> list[Marker]:
+        """Markers of the newest message that show a rehearsal."""
+        return [marker for marker in self.messages[-1].markers if marker.ns.startswith("rehearsal")]
+
     def namespaces(self) -> list[str]:
-        """Namespaces of the newest markers of a rehearsal, each once; they begin with the removal of all before."""
-        first, *markers = self.rehearsals[-1].markers
-        assert first.action == Marker.DELETEALL
-        return list(dict.fromkeys(marker.ns for marker in markers))
+        """Namespaces of the newest markers of a rehearsal, each once."""
+        return list(dict.fromkeys(marker.ns for marker in self.rehearsal))
 
     def shown(self, namespace: str) -> list[Marker]:
         """Markers of a namespace in the newest message, which stands alone: it begins with the removal of all others."""
@@ -304,10 +306,10 @@ def test_the_rehearsal_of_the_plan_under_review_is_drawn_whichever_comes_first(r
         rehearsed.hear_plan(plan)
     rehearsed.hear_rehearsal(rehearsal(plan))
     if first == "rehearsal":
-        assert rehearsed.rehearsals == []
+        assert rehearsed.messages == []
         rehearsed.hear_plan(plan)
     assert rehearsed.namespaces() == PARTS
-    markers = rehearsed.rehearsals[-1].markers[1:]
+    markers = rehearsed.rehearsal
     assert {marker.header.frame_id for marker in markers} == {"kr120/twin/base_link"}
     assert [m.text for m in markers if m.ns == "rehearsal_axes"][1] == "A2 40 %"
     (place,) = [m.pose.position for m in markers if m.ns == "rehearsal_contacts"]
@@ -326,7 +328,7 @@ def test_one_that_is_not_what_its_hash_says_or_is_of_another_arm_is_refused(rehe
     rehearsed.hear_rehearsal(forged)
     rehearsed.hear_rehearsal(rehearsal(plan, worst_pose=(0.0, 0.0)))
     assert [reason for reason, _ in rehearsed.refused] == ["rehearsal", "rehearsal"]
-    assert rehearsed.rehearsals == []
+    assert rehearsed.rehearsal == []
 
 
 def test_the_ghost_of_a_rehearsal_carries_what_the_arm_carries_then(rehearsed):

@@ -14,7 +14,7 @@ from scene_samples import kr120
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.validation import configuration_error
-from construction_twin.extensions.work.recipes import read_recipes
+from construction_twin.extensions.work.process import read_recipes
 from construction_twin.extensions.work.site import read_site
 from construction_twin.robot.description import load_robot
 from construction_twin.robot.tool import read_tool

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -166,13 +167,19 @@ def test_one_command_per_arm(arm, tmp_path, capsys):
         assert key in said[said.index("a person must still fill in") :]
 
 
+def pairs_of(given: dict[str, str]) -> Path:
+    """Return the file of link pairs, which lies beside the robot YAML."""
+    config = Path(given["robot_config"])
+    return config.with_name(f"{config.stem}_self_collision.yaml")
+
+
 def robot_estimates(given: dict[str, str]) -> tuple[str, ...]:
     return read_robot_files(given["robot_xacro"], given["robot_config"]).estimates
 
 
 def check_home(robot: RobotModel, given: dict[str, str]) -> None:
     """Home is free of contact with arm and floor, away from the ends of the ranges, and not singular."""
-    world = CollisionWorld(robot, read_scene(given["scene"]), read_self_collision(given["self_collision"], robot))
+    world = CollisionWorld(robot, read_scene(given["scene"]), read_self_collision(pairs_of(given), robot))
     assert world.contact(robot.home) is None and world.clearance(robot.home).distance > 0.01
     home, lower, upper = map(np.array, (robot.home, robot.lower, robot.upper))
     assert (np.minimum(home - lower, upper - home) > 0.05 * (upper - lower)).all()
@@ -190,6 +197,7 @@ def check_start(given: dict[str, str]) -> None:
     assert said.startswith(f"estimates: found {list(robot_estimates(given))}")
     entered = yaml.safe_load(Path(given["robot_config"]).read_text()) | {"estimates": []}
     file = Path(given["robot_config"]).with_name("entered.yaml")
+    shutil.copy(pairs_of(given), file.with_name("entered_self_collision.yaml"))
     file.write_text(yaml.safe_dump(entered, sort_keys=False))
     assert refusals("bringup", *words, "arm:=real", f"robot_config:={file}") == {}
 
@@ -203,7 +211,7 @@ def check_planning(robot: RobotModel, given: dict[str, str]) -> None:
         planner="RRTConnect", planning_budget=5.0, edge_step=0.1, speed_scale=1.0, max_waypoints=2000,
         max_duration=600.0, seed=1,
     )  # fmt: skip
-    pairs = read_self_collision(given["self_collision"], robot)
+    pairs = read_self_collision(pairs_of(given), robot)
     pipeline = PlanningPipeline(robot, solver, settings, pairs, lambda: float(next(times)))
     pipeline.set_scene(read_scene(given["scene"]))
     goal = np.array(robot.home)
@@ -217,7 +225,7 @@ def test_the_folder_can_be_moved_and_the_rest_of_bringup_given(tmp_path):
     made(tmp_path / "made", write_arm(tmp_path, arm), "--tip", arm.tip, "--name", "renamed")
     moved = (tmp_path / "made").rename(tmp_path / "moved with a space")
     given = arguments(moved / "renamed.launch")
-    assert {Path(given[name]).parent for name in ("robot_config", "self_collision", "ethernet_xml")} == {moved}
+    assert {Path(given[name]).parent for name in ("robot_config", "ethernet_xml")} == {moved}
     assert given["robot"] == "renamed" and given["scene"].endswith("/config/scene.yaml")
 
 

@@ -31,6 +31,19 @@ def refused(*words: str, file: str = "bringup", **changes: object) -> list[str]:
     return list(refusals(file, *(quiet if file == "bringup" else ()), *words, **changes))
 
 
+def make_folders(folder: Path) -> Path:
+    """Return an empty site's folder."""
+    for name in ("broker", "accounts/kr120-bridge"):
+        (folder / name).mkdir(parents=True)
+    return folder
+
+
+def console(folder: Path, listen: str = "127.0.0.1", port: int = 0, page: str = "") -> str:
+    """Return the argument that starts a console with a file of its own."""
+    (file := folder / "console.yaml").write_text(f"listen: {listen}\nport: {port or free_port()}\npage: '{page}'\n")
+    return f"console:={file}"
+
+
 def free_port() -> int:
     with socket.socket() as tcp:
         tcp.bind(("127.0.0.1", 0))
@@ -45,7 +58,7 @@ def free_port() -> int:
         ("arm:=none", "ethernet_xml:=/none"),
         ("gateway_kind:=plc",),
         ("rsi_cycle:=12",),
-        ("tool_marker:=true", "separation:=true", "gui:=true"),
+        ("separation:=true", "gui:=true"),
         ("arm:=real", "auto_approve:=true", "auto_approve_is_meant:=true", "anonymous_broker_is_meant:=true"),
         ("arm:=mock", "auto_approve:=true", "auto_approve_sources:=/move_group"),
     ],
@@ -65,30 +78,25 @@ def test_what_the_package_ships_is_fine(words):
         ("decimals:=7", "decimals: found 7, expected less than or equal to 6"),
         ("realtime:=100", "realtime_priority: found 100"),
         ("robot:=Kuka", "name: found 'Kuka', expected a name of small letters, digits and _"),
-        ("controller_make:=fanuc", "make: found 'fanuc', expected "),
         ("rsi_cycle:=8", "cycle: found 8, expected "),
-        ("self_collision:=/no/such.yaml", "/no/such.yaml"),
         ("scene:=/no/such.yaml", "/no/such.yaml"),
         ("ethernet_xml:=/no/such.xml", "/no/such.xml"),
         ("ethernet_xml:=none", "expected "),
-        ("drives:=/no/such.yaml", "/no/such.yaml"),
         ("tool:=/no/such.yaml arm:=none", "/no/such.yaml"),
         ("payload:=-3", "payload: found (-3.0,), expected a mass above 0"),
-        ("twin:=gazebo gzserver:=/no/gzserver", "gzserver: found '/no/gzserver', expected a program that starts Gazebo"),
-        ("twin:=gazebo gzserver:=true payload:=3", "payload: found [3.0], expected none with twin:=gazebo"),
+        ("twin:=gazebo payload:=3", "payload: found [3.0], expected none with twin:=gazebo"),
         ("servo_model:=/no/such.json", "/no/such.json"),
-        ("bridge_account:=/no/such.json", "/no/such.json"),
+        ("accounts:=/no", "/no/kr120-bridge/account.json"),
+        ("broker:=true accounts:=/no", "mosquitto.conf: found '/no/../broker/mosquitto.conf', expected a file that can be read"),
         ("gateway_kind:=plc track:=true", "gateway_kind: found 'plc', expected rsi with track:=true"),
-        ("console:=true arm:=none console_page:=none", "console: found True, expected false with arm:=none"),
-        ("console:=true console_listen:=0.0.0.0 console_page:=none", "--listen: found '0.0.0.0', expected loopback, or"),
-        ("console:=true console_page:=/no/page", "--page: found '/no/page', expected "),
+        ("console:=true arm:=none", "console: found True, expected false with arm:=none"),
+        ("console:=/no/console.yaml", "/no/console.yaml"),
         ("gateway:=true rsi_listen:=0.0.0.0", "--controller: found '', expected the controller's address"),
         ("gateway:=true gateway_trace:=/no/a.trace", "--trace: found '/no/a.trace', expected "),
         ("work_model:=/no/such.ifc", "work_model: found '/no/such.ifc', expected the absolute path of a file"),
-        ("broker:=true broker_config:=/no/such.conf", "broker_config: found '/no/such.conf', expected a file that can be read"),
-        ("arm:=real", "bridge_account: found '', expected accounts, with arm:=real"),
-        ("arm:=real auto_approve_is_meant:=true", "bridge_account: found '', expected accounts, with arm:=real"),
-        ("arm:=real gateway:=true rsi_port:=0", "gateway_account: found '', expected accounts, with arm:=real"),
+        ("arm:=real", "accounts: found '', expected accounts, with arm:=real"),
+        ("arm:=real auto_approve_is_meant:=true", "accounts: found '', expected accounts, with arm:=real"),
+        ("arm:=real gateway:=true rsi_port:=0", "accounts: found '', expected accounts, with arm:=real"),
         ("arm:=real auto_approve:=true anonymous_broker_is_meant:=true", "auto_approve: found True, expected false with arm:=real"),
         ("arm:=real auto_approve:=1", "auto_approve: found True, expected false with arm:=real"),
         ("arm:=real auto_approve_sources:=/move_group auto_approve_is_meant:=true", "auto_approve_sources: found "),
@@ -101,30 +109,26 @@ def test_arguments_that_cannot_work_or_must_be_meant_are_refused(words, sentence
 
 
 def test_a_broker_that_lets_in_everybody_is_refused_though_there_are_accounts(tmp_path):
-    account, config = tmp_path / "account.json", tmp_path / "mosquitto.conf"
+    site = make_folders(tmp_path)
+    config, account = site / "broker" / "mosquitto.conf", site / "accounts" / "kr120-bridge" / "account.json"
     account.write_text("{}")
-    given = ("arm:=real", f"bridge_account:={account}", "broker:=true", f"broker_port:={free_port()}")
+    given = ("arm:=real", f"accounts:={site}/accounts", "broker:=true", f"broker_port:={free_port()}")
     for text, is_open in (("allow_anonymous true\n", True), ("# allow_anonymous true\nallow_anonymous false\n", False)):
         config.write_text(text)
-        said = [each for each in refused(*given, f"broker_config:={config}") if "expected accounts" in each]
-        assert [each.startswith(f"broker_config: found '{config}'") for each in said] == [True] * is_open
+        said = [each for each in refused(*given) if "expected accounts" in each]
+        assert [each.startswith("mosquitto.conf: found ") for each in said] == [True] * is_open
 
 
 @pytest.mark.parametrize(
     "name, text, sentence",
     [
-        ("self_collision", "ignored: [", "expected a YAML file"),
-        ("self_collision", "ignored: []", "expected "),
         ("ethernet_xml", "<ROOT><CONFIG>\n", "expected well-formed XML"),
         ("scene", "objects: {wall: {shape: ", "expected "),
         ("scene", "padding: -1\nobjects: {}", "padding"),
         ("scene", "{padding: 0.0, objects: {tool: {shape: box, size: [1, 1, 1], link: tool_0}}}", "tool_0"),
         ("cell", "kr120: {xyz: [0, 0]}", "xyz"),
         ("cell", "another: {xyz: [0.0, 0.0, 0.0], rpy_deg: [0.0, 0.0, 0.0]}", "kr120"),
-        ("bridge_account", "{", "expected "),
-        ("bridge_account", '{"user": "a"}', "expected "),
         ("tool", "name: 1", "expected "),
-        ("drives", "axes: 3", "expected "),
         ("servo_model", "{}", "expected "),
     ],
 )  # fmt: skip
@@ -134,6 +138,34 @@ def test_broken_contents_are_one_sentence_with_what_was_expected(tmp_path, name,
     assert said and all(sentence in each and "\n" not in each for each in said), said
 
 
+@pytest.mark.parametrize(
+    "name, text, sentence",
+    [
+        ("self_collision", "ignored: [", "expected a YAML file"),
+        ("self_collision", "ignored: []", "expected "),
+        ("self_collision", None, "self_collision.yaml"),
+        ("self_collision", (ROOT / "config/kr120_track_self_collision.yaml").read_text(), "expected "),
+        ("drives", "axes: 3", "expected "),
+        ("drives", None, ""),
+    ],
+)  # fmt: skip
+def test_what_lies_beside_the_robot_yaml_is_checked(tmp_path, name, text, sentence):
+    for each in ("kr120", "kr120_self_collision", "kr120_drives"):
+        shutil.copy(ROOT / f"config/{each}.yaml", tmp_path)
+    file = tmp_path / f"kr120_{name}.yaml"
+    file.unlink() if text is None else file.write_text(text)
+    said = refused("servo:=physics", f"robot_config:={tmp_path}/kr120.yaml")
+    assert bool(said) is bool(sentence) and all(sentence in each and "\n" not in each for each in said), said
+
+
+@pytest.mark.parametrize("text", ["{", '{"user": "a"}'])
+def test_a_broken_account_is_refused(tmp_path, text):
+    site = make_folders(tmp_path)
+    (site / "accounts" / "kr120-bridge" / "account.json").write_text(text)
+    said = refused(f"accounts:={site}/accounts")
+    assert said and all("expected " in each and "\n" not in each for each in said), said
+
+
 @pytest.mark.parametrize("name, text", [("robot_xacro", "<robot"), ("robot_config", "joints: [")])
 def test_a_robot_s_file_that_roslaunch_cannot_load_is_its_own_refusal(tmp_path, name, text):
     (file := tmp_path / "broken").write_text(text)
@@ -141,10 +173,10 @@ def test_a_robot_s_file_that_roslaunch_cannot_load_is_its_own_refusal(tmp_path, 
         refused(f"{name}:={file}")
 
 
-@pytest.mark.parametrize("name", ["self_collision", "ethernet_xml", "robot_config"])
+@pytest.mark.parametrize("name", ["ethernet_xml", "robot_config"])
 def test_a_file_of_another_arm_is_refused(name):
     ending = {"ethernet_xml": "krl/ethernet/ctwin_e1_ethernet.xml", "robot_config": "config/kr120_track.yaml"}
-    said = refused(f"{name}:={ROOT}/{ending.get(name, 'config/kr120_track_self_collision.yaml')}")
+    said = refused(f"{name}:={ROOT}/{ending[name]}")
     assert said and all("expected " in each for each in said)
 
 
@@ -166,7 +198,6 @@ def test_an_action_without_its_messages_is_refused_with_what_to_do(monkeypatch):
     monkeypatch.setitem(sys.modules, "control_msgs.msg", None)
     (said,) = refused()
     assert said.startswith("the Python package control_msgs: found 'missing") and "ros-noetic-control-msgs" in said
-    assert refused("follow_joint_trajectory:=false") == []
 
 
 @pytest.mark.parametrize(
@@ -223,7 +254,7 @@ def test_every_shipped_scenario_is_fine():
 # -- ports, and programs that speak no ROS
 
 
-def test_a_taken_port_is_refused():
+def test_a_taken_port_is_refused(tmp_path):
     with socket.socket() as tcp, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
         tcp.bind(("127.0.0.1", 0))
         tcp.listen()
@@ -233,7 +264,7 @@ def test_a_taken_port_is_refused():
         assert said.startswith(f"broker_port: found {taken}, expected a free TCP port")
         (said,) = refused("gateway:=true", f"rsi_port:={rsi}")
         assert str(rsi) in said
-        (said,) = refused("console:=true", f"console_port:={taken}", "console_page:=none")
+        (said,) = refused(console(tmp_path, port=taken))
         assert f"127.0.0.1:{taken}" in said
 
 
@@ -247,12 +278,11 @@ def test_a_taken_port_is_refused():
 )
 def test_a_broker_that_can_never_start_is_refused_before_anything_starts(tmp_path, lines, words):
     """roslaunch starts the broker again whenever it ends, so nothing else would end such a launch."""
-    file, port = tmp_path / "mosquitto.conf", free_port()
+    file, port = make_folders(tmp_path) / "broker" / "mosquitto.conf", free_port()
     file.write_text(lines.format(port=port))
-    (said,) = refused("broker:=true", f"broker_port:={port}", f"broker_config:={file}")
-    assert (
-        said.startswith(f"broker_config: found '{file}', expected one that mosquitto can start with") and words in said
-    )
+    values = refused("broker:=true", f"broker_port:={port}", f"accounts:={tmp_path}/accounts")
+    (said,) = [each for each in values if each.startswith("mosquitto.conf: found ")]
+    assert "expected one that mosquitto can start with" in said and words in said
 
 
 @pytest.mark.parametrize(
@@ -267,11 +297,33 @@ def test_a_broker_that_can_never_start_is_refused_before_anything_starts(tmp_pat
 def test_a_site_with_a_file_that_the_console_could_not_use_is_refused(tmp_path, name, text, sentence):
     options = ("--host", "localhost", "--robot", "kr120", "--person", "ada:approve", "--console", "localhost")
     assert make_site.main([str(tmp_path / "site"), *options]) == 0
-    folder = shutil.copytree(tmp_path / "site" / "console", tmp_path / "console")
     if name:
-        (folder / name).write_text(text)
-    said = refused("console:=true", "console_page:=none", f"console_port:={free_port()}", f"console_site:={folder}")
+        (tmp_path / "site" / "console" / name).write_text(text)
+    said = refused(console(tmp_path), f"accounts:={tmp_path}/site/accounts")
     assert [each.startswith(sentence) for each in said] == [True] * bool(name)
+
+
+@pytest.mark.parametrize(
+    "keys, sentence",
+    [
+        ({"listen": "0.0.0.0"}, "--listen: found '0.0.0.0', expected loopback, or"),
+        ({"page": "/no/page"}, "--page: found '/no/page', expected "),
+        ({"page": "x'\nprot: '1"}, "the keys of config/console.yaml"),
+    ],
+)
+def test_a_file_of_a_console_that_could_not_serve_is_refused(tmp_path, keys, sentence):
+    (said,) = refused(console(tmp_path, **keys))
+    assert sentence in said
+
+
+def test_a_server_of_gazebo_that_is_not_there_is_refused():
+    said = refused("twin:=gazebo", gazebo__gzserver="/no/gzserver")
+    assert "gzserver: found '/no/gzserver', expected a program that starts Gazebo" in said[0]
+
+
+def test_a_make_that_is_not_there_is_refused():
+    said = refused(gateway__make="fanuc")
+    assert said and all("make: found 'fanuc', expected " in each for each in said)
 
 
 def test_a_trace_of_the_gateway_lies_where_roslaunch_starts_it(tmp_path, monkeypatch):
@@ -308,3 +360,5 @@ def test_a_misspelt_argument_of_this_package_s_launch_files_is_refused():
         ConfigurationError, match="brocker: found 'false', expected an argument .* did you mean broker:=?"
     ):
         expect_known(["roslaunch", str(ROOT / "launch" / "bringup.launch"), "brocker:=false"])
+    with pytest.raises(ConfigurationError, match="self_collision: found '/a.yaml', expected an argument"):
+        expect_known(["roslaunch", "construction_twin", "bringup.launch", "self_collision:=/a.yaml"])

@@ -39,8 +39,8 @@ def keep(memory: StopMemory, session: str, now: int) -> None:
 
 
 def test_a_new_launch_begins_without():
-    launch = ElementTree.parse(Path(__file__).parents[3] / "launch/gate.launch").getroot()
-    assert [param.get("value") for param in launch.findall("param") if param.get("name") == PARAMETER] == [""]
+    launch = ElementTree.parse(Path(__file__).parents[3] / "launch/bringup.launch").getroot()
+    assert [param.get("value") for param in launch.iter("param") if param.get("name") == PARAMETER] == [""]
 
 
 def test_writes_changes_only():

@@ -17,7 +17,7 @@ from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.ros.nodes.tool_marker import MarkerServer
 from construction_twin.ros.shared import tool_marker_menu as module
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.tool_marker_menu import REACHED, SHOWN, MarkerGoal, ToolMarkerMenu, moved
+from construction_twin.ros.shared.tool_marker_menu import REACHED, SHOWN, ToolMarkerMenu, moved
 
 
 class Client:
@@ -51,11 +51,10 @@ class World:
         self.plan = None
         self.said: list[str] = []
         monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: self.now))
-        self.client, self.goal = Client(), MarkerGoal()
+        self.client = Client()
         self.menu = ToolMarkerMenu(
             self.client,
             lambda: self.plan,
-            self.goal,
             ROBOT.home,
             "Ada",
             self.said.append,
@@ -124,11 +123,11 @@ def titles(menu: ToolMarkerMenu) -> dict[int, str]:
 def test_a_plan_needs_a_goal(world):
     world.menu.choose("Plan")
     assert "drag it to a goal first" in world.said[-1] and world.client.calls == []
-    world.goal.drag(Chain(ROBOT).forward(ROBOT.home))
+    world.menu.goal = Chain(ROBOT).forward(ROBOT.home)
     world.menu.choose("Plan")
     assert world.client.calls == ["pose"] and world.said[-1] == "Plan: planned"
     world.menu.choose("Back to the tool")
-    assert world.goal.pose is None
+    assert world.menu.goal is None
 
 
 def test_one_plan_at_a_time(world):
@@ -136,7 +135,7 @@ def test_one_plan_at_a_time(world):
         world.menu.choose("Plan")
         return Outcome(True, "planned")
 
-    world.goal.drag(Chain(ROBOT).forward(ROBOT.home))
+    world.menu.goal = Chain(ROBOT).forward(ROBOT.home)
     world.client.plan = second
     world.menu.choose("Plan")
     assert [line for line in world.said if "being made already" in line] and world.said[-1] == "Plan: planned"
@@ -145,17 +144,17 @@ def test_one_plan_at_a_time(world):
 # -- its goal
 
 
-def test_a_goal_that_a_plan_led_to_is_told_from_another():
-    chain, plan, goal = Chain(ROBOT), make_plan("p1"), MarkerGoal()
+def test_a_goal_that_a_plan_led_to_is_told_from_another(world):
+    chain, plan, menu = Chain(ROBOT), make_plan("p1"), world.menu
     begin, end = (chain.forward(plan.trajectory.positions[index]) for index in (0, -1))
-    goal.drag(begin)
-    goal.reached(end)
-    assert goal.pose is begin
-    goal.drag(end)
-    goal.reached(chain.forward(plan.trajectory.positions[-1]))
-    assert goal.pose is None
-    goal.reached(end)
-    assert goal.pose is None
+    menu.goal = begin
+    menu.reached(end)
+    assert menu.goal is begin
+    menu.goal = end
+    menu.reached(chain.forward(plan.trajectory.positions[-1]))
+    assert menu.goal is None
+    menu.reached(end)
+    assert menu.goal is None
 
 
 def test_moved_is_position_or_rotation():

@@ -112,7 +112,9 @@ def test_a_file_of_another_geometry_is_refused_with_a_command_that_writes_over_n
         read_self_collision(SHIPPED, longer)
     assert caught.value.value == kr120_pairs().geometry_hash
     assert str(caught.value).startswith(str(SHIPPED)) and str(caught.value).count(str(SHIPPED)) == 1
-    assert "`rosrun construction_twin self_collision <urdf or xacro> <robot.yaml> <new file>`" in str(caught.value)
+    assert "`rosrun construction_twin new_arm self_collision <urdf or xacro> <robot.yaml> <new file>`" in str(
+        caught.value
+    )
 
 
 @pytest.mark.parametrize(

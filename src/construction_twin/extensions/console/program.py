@@ -19,6 +19,8 @@ from construction_twin.core.command_line import Parser
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.extensions import check_extras
 from construction_twin.core.network import is_loopback, port_is_free
+from construction_twin.core.share import share_file
+from construction_twin.robot.urdf import read_yaml
 
 if TYPE_CHECKING:
     from construction_twin.extensions.console.server import ServerSettings
@@ -58,6 +60,9 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
         description="Pipe WebSockets to the broker's TCP port, and serve a page. Without --certificate only on loopback.",
     )
     add = parser.add_argument
+    add(
+        "--config", type=Path, help="YAML of listen, port and page, as config/console.yaml; the options count before it"
+    )
     add("--page", type=Path, help="folder of the page; without it there is none, only the pipe")
     add("--private", type=Path, help="folder of files for who is logged in: robot, scene, building model")
     add("--rights", type=Path, help="who has which right, for who is logged in: rights.json, which make_site writes")
@@ -69,7 +74,21 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     add("--broker-host", default="127.0.0.1", help="the broker's address [%(default)s]")
     add("--broker-port", type=int, default=18830, help="the broker's TCP port [%(default)s]")
     add("--broker-ca", type=Path, help="certificate of who signed the broker's; with it the broker's connection is TLS")
-    return parser.options(argv)
+    arguments = parser.options(argv)
+    if arguments.config:
+        parser.set_defaults(**_configuration(arguments.config))
+        arguments = parser.options(argv)
+    return arguments
+
+
+def _configuration(path: Path) -> dict[str, object]:
+    """Return the content of a file like config/console.yaml."""
+    content = read_yaml(path)
+    expected = 'an address, a whole number and a folder, or "": the keys of config/console.yaml'
+    kinds = {"listen": str, "port": int, "page": str}
+    if not isinstance(content, dict) or {name: type(value) for name, value in content.items()} != kinds:
+        raise ConfigurationError(str(path), content, expected)
+    return content | {"page": share_file(content["page"]) if content["page"] else None}
 
 
 def settings_of(arguments: argparse.Namespace) -> ServerSettings:

@@ -90,8 +90,8 @@ def drives_of(robot: RobotModel) -> ArmDrives:
 
 
 def read_drives(path: str | Path, robot: RobotModel) -> ArmDrives:
-    """Read the file of an arm's drives, see config/kr120_drives.yaml; no path: what the URDF says."""
-    return load_drives(read_yaml(path), robot, str(path)) if path else drives_of(robot)
+    """Read the file of an arm's drives, see config/kr120_drives.yaml; no such file: what the URDF says."""
+    return load_drives(read_yaml(path), robot, str(path)) if Path(path).is_file() else drives_of(robot)
 
 
 def load_drives(content: object, robot: RobotModel, where: str) -> ArmDrives:

@@ -1,7 +1,7 @@
-"""What a building model says, as far as a robot needs it: elements with their geometry, tasks, and their order.
+"""Records of a building model: elements with their bodies, tasks, and their order; read by `ifc`.
 
-Metres, kilograms, seconds; rotations as matrices. Frames: `model` is the model's own coordinate system in metres (its project's
-placement, without map conversion), `element` is the product's placement. Records only; read by `work.ifc`, used by everything else.
+Metres, kilograms, seconds. Frames: `model` is the model's own coordinate system, without map conversion; `element` is the product's
+placement. An id is a GlobalId, or ``#123``, a number in the file, where that is missing, wrong or another one's.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -22,12 +23,7 @@ Value = str | float | int | bool | None
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """One body of an element.
-
-    Attributes:
-        vertices: Shape (n, 3). In the element's frame, those at the same place are one [m].
-        triangles: Shape (m, 3). Indices of vertices; outward normals by the right hand.
-    """
+    """Triangles: vertices, shape (n, 3), in the element's frame [m], and indices, shape (m, 3), outward by the right hand."""
 
     vertices: np.ndarray
     triangles: np.ndarray
@@ -56,20 +52,17 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class Element:
-    """One product of the model.
+    """One product of the model. An empty text: the model says nothing.
 
     Attributes:
-        id: GlobalId; ``#123``, its number in the file, where that is missing, wrong or another one's.
         ifc_class: ``IfcMember``.
-        name, type_name, tag: Empty: the model has none.
-        assembly: GlobalId of the element it is a part of: an IfcElementAssembly, or another (a wall of layers); empty: none.
-        bodies: Empty: the element has no geometry.
-        properties: Values by property set (or quantity set) and name, the type's own included; the element's win. Measures in SI.
-        mass: [kg], from quantities, or density times volume; None: not known.
-        status: ``existing``: it stands already; ``demolish``: it stands and is to be taken down; empty: neither is said.
-        doubt: Why its bodies are not what the model says, so that they are an obstacle at most; empty: they are.
-        on: GlobalIds of the elements that it is in or on: what it fills, covers, projects from or fastens.
-        members: Of a group or a part of the site that a task is assigned to: GlobalIds of what it holds; it has no bodies then.
+        assembly: Id of the element it is a part of.
+        properties: Values by property set (or quantity set) and name, the type's own included. Measures in SI.
+        mass: [kg]; None: unknown.
+        status: ``existing``: it stands already; ``demolish``: it stands and is to be taken down.
+        doubt: Why its bodies are not what the model says, so that they are an obstacle at most.
+        on: Ids of the elements that it fills, covers, projects from or fastens.
+        members: Of a group or a part of the site that a task is assigned to: ids of what it holds, in place of bodies.
     """
 
     id: str
@@ -87,20 +80,26 @@ class Element:
     on: tuple[str, ...] = ()
     members: tuple[str, ...] = ()
 
+    @property
+    def box(self) -> np.ndarray:
+        """Lowest and highest coordinates of its bodies in the model, shape (2, 3) [m]."""
+        pose, corners = self.model_T_element, np.concatenate([body.vertices for body in self.bodies])
+        points = corners @ pose.rotation.T + pose.position
+        return np.array([points.min(axis=0), points.max(axis=0)])
+
 
 @dataclass(frozen=True)
 class Task:
     """One task of the schedule.
 
     Attributes:
-        parent: GlobalId of the task it nests in; empty: none.
-        products: GlobalIds of the elements it makes (outputs), in the file's order.
+        parent: Id of the task it nests in; empty: none.
+        products: Ids of the elements it makes, in the file's order.
         robots: Names of the resources assigned to it; empty: any robot.
-        start: Scheduled, ISO 8601; empty: not said.
+        start: ISO 8601; empty: unknown.
         duration: [s]
-        kind: ``makes``: places its products, or works on them; ``takes_down``: removes its products and inputs; ``other``: neither
-            (maintenance, moving).
-        properties: Of its own property set `recipe.PROPERTY_SET`: how the arm does it, before what its elements say.
+        kind: ``makes``: places its products, or works on them; ``takes_down``: removes products and inputs; ``other``.
+        properties: Of its own `process.PROPERTY_SET`, which come before its elements'.
     """
 
     id: str
@@ -119,17 +118,16 @@ class Task:
 
 @dataclass(frozen=True)
 class Sequence:
-    """One task waits for another.
+    """One task waits for another; of nesting tasks, all that they nest.
 
     Attributes:
-        before, after: GlobalIds of tasks; of nesting tasks it holds for all that they nest.
-        kind: ``FINISH_START``, ``START_START``, ``FINISH_FINISH`` or ``START_FINISH``: what of `before`, then what of `after`.
+        kind: What of `before`, then what of `after`.
         lag: [s]; negative: a lead.
     """
 
     before: str
     after: str
-    kind: str = "FINISH_START"
+    kind: Literal["FINISH_START", "START_START", "FINISH_FINISH", "START_FINISH"] = "FINISH_START"
     lag: float = 0.0
 
 
@@ -138,9 +136,9 @@ class BuildingModel:
     """One IFC file.
 
     Attributes:
-        tasks: By GlobalId, in the file's order; empty: it has no schedule.
+        tasks: By id, in the file's order; empty: it has no schedule.
         notes: One sentence for each thing that was left out or understood in a way that the user should know.
-        remarks: The same by the id of the element or task that they are about, of those that there are any of.
+        remarks: The same by the id of the element or task that they are about.
     """
 
     file: str
@@ -161,10 +159,7 @@ class BuildingModel:
         return self.elements[global_id]
 
     def called(self, sentence: str, own: str = "") -> str:
-        """Return a sentence with elements and tasks by their names where it has ids, or bodies ``<GlobalId>/<number>``.
-
-        `own`: GlobalId of the element that the sentence is about, which is called "the element".
-        """
+        """Return a sentence with names in place of ids; `own`: id of the element that is called "the element"."""
         return named(sentence, {**self.labels, **({own: "the element"} if own else {})})
 
     @cached_property

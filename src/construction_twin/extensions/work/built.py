@@ -1,11 +1,10 @@
 """What stands where: elements as built against the model, and the scene's objects of tool, stock and placed elements.
 
-Metres, radians; poses in the robot's base_link unless the name says otherwise. As tuples: x, y, z and quaternion x, y, z, w.
+Metres, radians; poses in the robot's base_link, as tuples x, y, z and quaternion x, y, z, w.
 """
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from construction_twin.extensions.work.ledger import Book, Ledger
 from construction_twin.extensions.work.prepared import ElementFacts, Prepared, element_in
 from construction_twin.extensions.work.schedule import Job
 from construction_twin.extensions.work.task_memory import SETTLED, TaskMemory, TaskState
+from construction_twin.kinematics.batch_kinematics import angles_between
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import quaternion_to_rotation, rotation_to_quaternion
 from construction_twin.scene.objects import Scene, SceneObject, product, relative
@@ -47,24 +47,12 @@ def pose_of_tuple(values: tuple[float, ...]) -> Pose:
 
 def deviation(base_T_built: Pose, base_T_goal: Pose) -> Deviation:
     """Return how far a pose is from another."""
-    goal_T_built = relative(base_T_goal, base_T_built)
-    sine = np.linalg.norm(
-        [
-            goal_T_built.rotation[2, 1] - goal_T_built.rotation[1, 2],
-            goal_T_built.rotation[0, 2] - goal_T_built.rotation[2, 0],
-            goal_T_built.rotation[1, 0] - goal_T_built.rotation[0, 1],
-        ]
-    )
-    # of small angles the cosine tells nothing, the sine all
-    angle = math.atan2(float(sine), float(np.trace(goal_T_built.rotation)) - 1.0)
-    return Deviation(float(np.linalg.norm(goal_T_built.position)), angle)
+    angle = angles_between(base_T_built.rotation[None], base_T_goal.rotation[None])[0]
+    return Deviation(float(np.linalg.norm(base_T_built.position - base_T_goal.position)), float(angle))
 
 
 def as_built(base_T_tool0: Pose, base_T_tool0_planned: Pose, tool0_T_element: Pose, base_T_goal: Pose) -> Pose:
-    """Return where an element stands that the arm let go of.
-
-    An element that was planned to be set down turned by a symmetry of its shape is one that is not turned: its frame is told as if.
-    """
+    """Return where the arm has set an element down; turned by a symmetry of its shape as planned, it counts as not turned."""
     planned = product(base_T_tool0_planned, tool0_T_element)
     built = product(base_T_tool0, tool0_T_element)
     found = deviation(planned, base_T_goal)
@@ -75,29 +63,8 @@ def as_built(base_T_tool0: Pose, base_T_tool0_planned: Pose, tool0_T_element: Po
 
 def placed_at(memory: TaskMemory, base_T_goal: Pose) -> Pose:
     """Return where a placed element stands: as built, as far as that is known, else where the model has it, or had it then."""
-    return pose_of_tuple(memory.base_T_element or memory.goal) if memory.base_T_element or memory.goal else base_T_goal
-
-
-def objects_of(
-    bodies: Sequence[SceneObject], memory: TaskMemory | None, base_T_stock: Pose | None, base_T_goal: Pose, link: str
-) -> tuple[SceneObject, ...] | None:
-    """Return the scene's objects of one element as the ledger has it; None: what is there is left as it is.
-
-    Args:
-        bodies: Convex pieces ``<GlobalId>/0``, ..., in the element's frame; of a placed element as it was placed.
-        memory: Of the task that places it; None: no task does, it stands where the model has it.
-        base_T_stock: None: it does not lie in its stock, even if it was not taken.
-    """
-    if memory is None:
-        return at(bodies, base_T_goal)
-    if memory.placed:
-        # also while it is asked about: it stands until a person says that it does not
-        return at(bodies, placed_at(memory, base_T_goal))
-    if memory.state is TaskState.ASKS:
-        return None
-    if memory.in_grip:
-        return at(bodies, pose_of_tuple(memory.tool0_T_element), link)
-    return () if memory.gone or base_T_stock is None else at(bodies, base_T_stock)
+    found = memory.base_T_element or memory.goal
+    return pose_of_tuple(found) if found else base_T_goal
 
 
 def at(bodies: Sequence[SceneObject], pose: Pose, link: str = "") -> tuple[SceneObject, ...]:
@@ -122,23 +89,13 @@ ORIGIN = Pose(np.zeros(3), np.eye(3))
 
 def box_of(bodies: tuple[SceneObject, ...], pose: Pose) -> np.ndarray:
     """Return the lowest and highest coordinates of an element's pieces at its pose, shape (2, 3)."""
-    points = _corners(bodies) @ pose.rotation.T + pose.position
+    points = Pieces(bodies).points @ pose.rotation.T + pose.position
     return np.array([points.min(axis=0), points.max(axis=0)])
-
-
-@functools.lru_cache(maxsize=4096)
-def _corners(bodies: tuple[SceneObject, ...]) -> np.ndarray:
-    return Pieces(bodies).points
 
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """An element as people see it.
-
-    Attributes:
-        word: ``todo``, ``next``, ``stock``, ``carried``, ``placed``, ``off`` or ``skipped``, as in `nodes.work.COLOURS`.
-        pose: In the base_link, or in the tip link where it is carried.
-    """
+    """An element as people see it; `word`: a key of `nodes.work.COLOURS`, `pose`: in the base_link, or the tip link if carried."""
 
     element: str
     name: str
@@ -154,7 +111,7 @@ class AsBuilt:
         self._tip_link = tip_link
         self._kept: dict[tuple[str, str], tuple[SceneObject, ...]] = {}
         for memory in self.book.tasks.values():
-            if memory.placed and memory.body:
+            if memory.placed:
                 # what stands and cannot be shown is told at once
                 self.bodies(memory)
 
@@ -175,18 +132,18 @@ class AsBuilt:
         if task in self.book.after:
             return self.prepared.elements[self.job(task).element]
         memory = self.book.tasks[task]
-        name, bodies = memory.name or memory.element or task, self.bodies(memory) if memory.body else ()
-        return ElementFacts(name, bodies, placed_at(memory, ORIGIN), np.empty((0, 3, 3)))
+        name = memory.name or memory.element or task
+        return ElementFacts(name, self.bodies(memory), placed_at(memory, ORIGIN), np.empty((0, 3, 3)))
 
     def elements(self) -> list[str]:
         """Return the elements that jobs place or work on, in their order."""
         return list(dict.fromkeys(job.element for job in self.prepared.schedule.jobs))
 
     def bodies(self, memory: TaskMemory) -> tuple[SceneObject, ...]:
-        """Return an element's pieces as they were placed; they are kept, because they do not change."""
+        """Return an element's pieces as they were placed, of which the ledger has any; read once."""
         key = memory.element, memory.body
         if key not in self._kept:
-            self._kept[key] = self.ledger.body(*key)
+            self._kept[key] = self.ledger.body(*key) if memory.body else ()
         return self._kept[key]
 
     def goal_box(self, task: str) -> np.ndarray:
@@ -236,27 +193,45 @@ class AsBuilt:
         """Return the work's objects of the scene by name, and the elements whose objects are left as they are."""
         gone, former = self.gone(), {memory.element: memory for memory in self.book.former.values()}
         wanted = {item.name: item for item in self.prepared.tool_objects}
+        left_alone: list[str] = []
         # what was placed stands as it was placed, whatever the model says of it
+        kept = {element for element, memory in former.items() if memory.body}
         for item in self.prepared.standing:
             element = element_in(item)
             before = map(self.placing, self.prepared.comes_after.get(element, ()))
-            there = element not in gone and all(memory is not None and memory.placed for memory in before)
-            if there and not (element in former and former[element].body):
+            if element not in gone | kept and all(memory is not None and memory.placed for memory in before):
                 wanted[item.name] = item
-        present = self.present()
-        found: list[tuple[str, tuple[SceneObject, ...] | None]] = []
+
+        def show(
+            element: str, bodies: Sequence[SceneObject], memory: TaskMemory | None, stock: Pose | None, goal: Pose
+        ) -> None:
+            """Want an element where the ledger has it, or as no task places it, where the model does."""
+            found: tuple[SceneObject, ...] = ()
+            if memory is None or memory.placed:
+                # also while it is asked about: it stands until a person says that it does not
+                found = at(bodies, goal if memory is None else placed_at(memory, goal))
+            elif memory.state is TaskState.ASKS:
+                left_alone.append(element)
+            elif memory.in_grip:
+                found = at(bodies, pose_of_tuple(memory.tool0_T_element), self._tip_link)
+            elif not memory.gone and stock is not None:
+                found = at(bodies, stock)
+            wanted.update((item.name, item) for item in found)
+
         for element, memory in former.items():
-            bodies = self.bodies(memory) if memory.body else ()
-            found.append((element, objects_of(bodies, memory, None, ORIGIN, self._tip_link) if bodies else None))
+            if bodies := self.bodies(memory):
+                show(element, bodies, memory, None, ORIGIN)
+            else:
+                left_alone.append(element)
+        present = self.present()
         for element in self.elements():
-            if element in gone or (element in former and former[element].body):
+            if element in gone | kept:
                 continue
             facts, stock = self.prepared.elements[element], self.stock(element) if element in present else None
             known = self.placing(element)
-            bodies = self.bodies(known) if known is not None and known.placed and known.body else facts.bodies
-            found.append((element, objects_of(bodies, known, stock, facts.base_T_goal, self._tip_link)))
-        wanted |= {item.name: item for _, items in found for item in items or ()}
-        return wanted, tuple(element for element, items in found if items is None)
+            bodies = self.bodies(known) if known is not None and known.placed else ()
+            show(element, bodies or facts.bodies, known, stock, facts.base_T_goal)
+        return wanted, tuple(left_alone)
 
     def counterpart(self, task: str) -> str:
         """Return the task that is to place what has name, class and place of what one that is no more has placed; empty: none."""
@@ -285,19 +260,15 @@ class AsBuilt:
         return tuple(at(facts.bodies, place, link) for place, link in places)
 
     def appearances(self, following: str) -> tuple[Appearance, ...]:
-        """Return what each element looks like: in stock and where it is to come, or where it is.
-
-        `following`: The task that comes next.
-        """
+        """Return each element where it is, in stock, and where it is to come; `following`: the task that comes next."""
         found = []
         present = self.present()
         for element in self.elements():
             facts, memory = self.prepared.elements[element], self.placing(element)
             mine = [job.id for job in self.prepared.schedule.jobs if job.element == element]
             states = {self.book.tasks[task].state for task in mine}
-            placed, where = False, facts.base_T_goal
-            if memory is not None and memory.placed:
-                placed, where = True, placed_at(memory, facts.base_T_goal)
+            placed = memory is not None and memory.placed
+            where = placed_at(memory, facts.base_T_goal) if memory is not None and placed else facts.base_T_goal
             if placed and self.is_off(element):
                 word = "off"
             elif following in mine:

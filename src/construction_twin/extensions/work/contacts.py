@@ -1,8 +1,7 @@
-"""Which bodies come close on a straight way on purpose, and the scene's objects with exactly that allowed.
+"""Which bodies come close on a straight way on purpose: what a job names as its supports may be touched there, nothing else.
 
-Metres; poses in the robot's base_link. Only what a job names as its support may be touched, and only while the element or the tool
-goes straight to it or from it; every other body keeps the scene's padding all the time. `touch` switches a pair's check off, so
-`motions` measures on every sample how deep such bodies are in each other, and refuses more than the recipe allows.
+Metres; poses in the robot's base_link. `touch` switches a pair's check off, so `motions` measures how deep such bodies are in each
+other, and refuses more than the recipe allows.
 """
 
 from __future__ import annotations
@@ -20,8 +19,6 @@ from construction_twin.scene.scene_change import SceneChange
 
 #: Distance between the places of a straight way at which bodies are looked at [m].
 STEP = 0.01
-#: Objects whose balls are kept.
-_BALLS = 5000
 #: What is not held sinks; it is looked at whether it would come to lie on something within this way [m]. More than a mortar bed.
 FALL = 0.02
 #: Part of that way by which it would come deeper into what it lies on already; and a distance that is surely no contact [m].
@@ -33,8 +30,6 @@ class Shapes:
 
     def __init__(self) -> None:
         self._geometries: dict[tuple[str, tuple[float, ...], str], tuple[coal.CollisionGeometry, ...]] = {}
-        # by identity, with the object itself, so that its identity stays its own
-        self._balls: dict[int, tuple[SceneObject, tuple[float, ...]]] = {}
 
     def near(
         self, moving: Sequence[SceneObject], way: Sequence[Pose], others: Iterable[SceneObject], padding: float
@@ -53,11 +48,7 @@ class Shapes:
         return tuple(found)
 
     def obstruction(self, scene: Scene, base_T_link: Pose) -> tuple[str, str] | None:
-        """Return a carried and a standing object that are too close with the arm's tip at a pose; None: there are none.
-
-        As `CollisionWorld` checks them, without the arm: what is too close here is so with every joint solution. `scene`:
-        Everything that is carried, is carried by the tip.
-        """
+        """Return a carried and a standing object that are too close with the arm's tip at a pose; None: there are none."""
         carried = [item for item in scene.objects if item.link]
         standing = [item for item in scene.objects if not item.link]
         for item in carried:
@@ -72,12 +63,9 @@ class Shapes:
     def holder(
         self, items: Sequence[SceneObject], base_T_frame: Pose, others: Iterable[SceneObject], up: np.ndarray
     ) -> str:
-        """Return the name of an object that something would come to lie on if nothing else held it; empty: it would fall.
-
-        That is one into which it would come, or deeper, if it sank by `FALL`. What it only touches at its side does not hold it.
+        """Return the name of an object on which something in a frame would come to lie, sinking by `FALL`; empty: it would fall.
 
         Args:
-            items: What would fall, in a frame.
             up: Shape (3,). Against gravity, a unit vector in the base.
         """
         sunk = Pose(base_T_frame.position - FALL * up, base_T_frame.rotation)
@@ -97,37 +85,25 @@ class Shapes:
         self, moving: Sequence[SceneObject], way: Sequence[Pose], others: Sequence[SceneObject], padding: float
     ) -> list[SceneObject]:
         """Return the standing objects whose balls come near those of moving ones: far fewer than there are in a building."""
-        if not moving or not others:
-            return []
-        balls = np.array([self._ball(other) for other in others])
-        margins = [padding + STEP + max(item.padding, other.padding) for item in moving for other in others]
+        balls = [self._ball(other) for other in others]
+        middles, radii = np.reshape([middle for middle, _ in balls], (-1, 3)), np.array([radius for _, radius in balls])
+        paddings = np.array([other.padding for other in others])
         near = np.zeros(len(others), dtype=bool)
-        for item, margin in zip(moving, np.reshape(margins, (len(moving), len(others)))):
-            centre, radius = self._ball_of(item)
-            middle = item.pose.rotation @ centre + item.pose.position
+        for item in moving:
+            middle, radius = self._ball(item)
+            limits = radii + radius + padding + STEP + np.maximum(paddings, item.padding)
             for pose in way:
-                apart = balls[:, :3] - (pose.rotation @ middle + pose.position)
-                near |= np.linalg.norm(apart, axis=1) <= balls[:, 3] + radius + margin
+                apart = middles - (pose.rotation @ middle + pose.position)
+                near |= np.linalg.norm(apart, axis=1) <= limits
         return [other for other, is_near in zip(others, near) if is_near]
-
-    def _ball(self, item: SceneObject) -> tuple[float, ...]:
-        """Return the middle and the radius of the ball around a standing object [m]."""
-        if id(item) not in self._balls:
-            centre, radius = self._ball_of(item)
-            x, y, z = item.pose.rotation @ centre + item.pose.position
-            if len(self._balls) >= _BALLS:
-                self._balls.clear()
-            self._balls[id(item)] = item, (x, y, z, radius)
-        return self._balls[id(item)][1]
 
     def _distance(self, item: SceneObject, base_T_frame: Pose, other: SceneObject, limit: float) -> float:
         """Return the distance of an object in a frame from a standing one; inf if it is surely more than the limit."""
-        (first, radius), (second, other_radius) = self._ball_of(item), self._ball_of(other)
-        at, there = product(base_T_frame, item.pose), other.pose
-        apart = at.rotation @ first + at.position - there.rotation @ second - there.position
+        (middle, radius), (there, other_radius) = self._ball(item), self._ball(other)
+        apart = base_T_frame.rotation @ middle + base_T_frame.position - there
         if apart @ apart > (radius + other_radius + limit) ** 2:
             return np.inf
-        one, two = _transform(at), _transform(there)
+        one, two = _transform(product(base_T_frame, item.pose)), _transform(other.pose)
         return min(
             measured(shape, one, against, two).min_distance
             for shape, against in itertools.product(self._shapes(item), self._shapes(other))
@@ -138,14 +114,16 @@ class Shapes:
         limit = margin + 0.5 * STEP
         return any(self._distance(item, pose, other, limit) <= limit for pose in way)
 
-    def _ball_of(self, item: SceneObject) -> tuple[np.ndarray, float]:
-        """Return the middle, in the object's frame, and the radius of a ball around an object [m]."""
+    def _ball(self, item: SceneObject) -> tuple[np.ndarray, float]:
+        """Return the middle and the radius of a ball around an object [m], in the frame of its pose."""
         shapes = self._shapes(item)
         if len(shapes) == 1:
-            return np.array(shapes[0].aabb_center), shapes[0].aabb_radius
-        low = np.min([shape.aabb_local.min_ for shape in shapes], axis=0)
-        high = np.max([shape.aabb_local.max_ for shape in shapes], axis=0)
-        return 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+            middle, radius = shapes[0].aabb_center, shapes[0].aabb_radius
+        else:
+            low = np.min([shape.aabb_local.min_ for shape in shapes], axis=0)
+            high = np.max([shape.aabb_local.max_ for shape in shapes], axis=0)
+            middle, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+        return item.pose.rotation @ middle + item.pose.position, radius
 
     def _shapes(self, item: SceneObject) -> tuple[coal.CollisionGeometry, ...]:
         key = (item.shape, item.size, item.mesh_digest)

@@ -9,12 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
+import coal
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Pose
-from construction_twin.scene.collision_bodies import is_convex
+from construction_twin.scene.collision_bodies import scene_geometry
 from construction_twin.scene.mesh_file import parse_mesh
 from construction_twin.scene.objects import SceneObject, read_mesh_file
 from construction_twin.scene.same_space import BOX, same_points
@@ -23,8 +24,6 @@ from construction_twin.scene.same_space import BOX, same_points
 ON_PLANE = 1e-5
 #: Facets whose normals differ by less are of one face [-, sine].
 _PARALLEL = 1e-4
-#: Corners of the polygon that stands for a round body.
-_ROUND = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,16 +44,16 @@ class Hull:
 
 
 class Pieces:
-    """The pieces of one element, in the element's frame; `objects`: not empty, `link` empty."""
+    """The pieces of one element, in the element's frame: boxes and meshes, `link` empty."""
 
     def __init__(self, objects: Sequence[SceneObject]):
         self.objects = tuple(objects)
-        self.hulls = tuple(_hull(item) for item in objects)
+        self.hulls = tuple(map(_hull, objects))
 
     @cached_property
     def solid(self) -> bool:
         """Whether every piece is the closed convex body that it is taken for; a surface, which has no inside, is not."""
-        return all(item.shape != "mesh" or _is_solid(item.mesh, item.mesh_digest) for item in self.objects)
+        return not any(isinstance(scene_geometry(item), coal.BVHModelBase) for item in self.objects)
 
     @cached_property
     def points(self) -> np.ndarray:
@@ -64,8 +63,7 @@ class Pieces:
     @cached_property
     def centre(self) -> np.ndarray:
         """Centre of gravity of the pieces, all of one density, shape (3,)."""
-        volumes = np.array([hull.volume for hull in self.hulls])
-        return np.array([hull.centre for hull in self.hulls]).T @ volumes / volumes.sum()
+        return np.average([hull.centre for hull in self.hulls], axis=0, weights=[hull.volume for hull in self.hulls])
 
     @cached_property
     def planes(self) -> np.ndarray:
@@ -104,62 +102,24 @@ class Pieces:
         return True
 
     def _extent(self, plane: np.ndarray) -> float:
-        points = self.on(plane)
-        first = np.ptp(points, axis=0)
-        return float(np.prod(np.sort(first)[1:]))
-
-
-def _hull(item: SceneObject) -> Hull:
-    local = _local_hull(item.name if item.mesh else "", item.shape, item.size, item.mesh, item.mesh_digest)
-    pose = item.pose
-    normals = local.planes[:, :3] @ pose.rotation.T
-    return Hull(
-        local.points @ pose.rotation.T + pose.position,
-        np.column_stack([normals, local.planes[:, 3] - normals @ pose.position]),
-        local.volume,
-        pose.rotation @ local.centre + pose.position,
-    )
+        return float(np.prod(np.sort(np.ptp(self.on(plane), axis=0))[1:]))
 
 
 @lru_cache(maxsize=4096)
-def _local_hull(name: str, shape: str, size: tuple[float, ...], mesh: str, digest: str) -> Hull:
-    """Return a piece's hull in its own frame; `digest` is part of the key."""
+def _hull(item: SceneObject) -> Hull:
+    name, (x, y, z) = f"object {item.name!r}", item.size
+    if item.mesh:
+        corners = parse_mesh(f"{name} mesh", item.mesh, read_mesh_file(item.name, item.mesh), (x, y, z))[0]
+    else:
+        corners = BOX * item.size
     try:
-        hull = ConvexHull(_corners(name, shape, size, mesh))
+        hull = ConvexHull(corners @ item.pose.rotation.T + item.pose.position)
     except QhullError as error:
-        raise SceneError(f"object {name!r}", shape, "a body that has a volume") from error
+        raise SceneError(name, item.shape, "a body that has a volume") from error
     points = hull.points[hull.vertices]
     middle = points.mean(axis=0)
-    corners = hull.points[hull.simplices] - middle
-    volumes = np.abs(np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6.0
-    centre = middle + (corners.sum(axis=1) / 4.0).T @ volumes / volumes.sum()
-    planes = np.unique(np.round(hull.equations, 9) + 0.0, axis=0)
-    return Hull(points, planes, float(hull.volume), centre)
-
-
-@lru_cache(maxsize=4096)
-def _is_solid(mesh: str, digest: str) -> bool:
-    """Return whether a mesh is closed and convex; `digest` is part of the key."""
-    vertices, triangles = parse_mesh("mesh", mesh, read_mesh_file("mesh", mesh), (1.0, 1.0, 1.0))
-    # an STL file repeats the corners of each triangle
-    corners, merged = np.unique(vertices, axis=0, return_inverse=True)
-    return is_convex(corners, merged.reshape(-1)[triangles])
-
-
-def _corners(name: str, shape: str, size: tuple[float, ...], mesh: str) -> np.ndarray:
-    if shape == "box":
-        return BOX * size
-    if shape == "mesh":
-        x, y, z = size
-        return parse_mesh(f"object {name!r} mesh", mesh, read_mesh_file(name, mesh), (x, y, z))[0]
-    angles = np.linspace(0.0, 2.0 * np.pi, _ROUND, endpoint=False)
-    if shape == "cylinder":
-        radius, length = size
-        ring = np.column_stack([radius * np.cos(angles), radius * np.sin(angles)])
-        return np.concatenate([np.column_stack([ring, np.full(_ROUND, z)]) for z in (-0.5 * length, 0.5 * length)])
-    heights = np.linspace(-1.0, 1.0, 17)
-    radii = np.sqrt(1.0 - heights**2)
-    return size[0] * np.concatenate(
-        [np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.full(_ROUND, z)])
-         for radius, z in zip(radii, heights)]
-    )  # fmt: skip
+    # of gravity: that of the tetrahedra between the middle and the facets
+    a, b, c = np.moveaxis(hull.points[hull.simplices] - middle, 1, 0)
+    volumes = np.abs(np.einsum("ij,ij->i", a, np.cross(b, c)))
+    centre = middle + volumes @ (a + b + c) / (4.0 * volumes.sum())
+    return Hull(points, np.unique(np.round(hull.equations, 9) + 0.0, axis=0), float(hull.volume), centre)

@@ -1,4 +1,4 @@
-"""What people say of the work, taken into the ledger: the schedule accepted, tasks skipped, done again, questions answered."""
+"""What people say of the work, recorded in the ledger; each returns a sentence."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _FARTHEST = 10.0
 
 
 def accept(board: TaskBoard, person: str, reason: str) -> str:
-    """Take a person's word that the proposed schedule is right."""
+    """Accept the proposed schedule."""
     if board.schedule_word != PROPOSED:
         origin = "the model's own" if board.schedule_word == FROM_MODEL else "accepted already"
         raise WorkRefused(f"the schedule is {origin}: there is nothing to accept")
@@ -65,7 +65,7 @@ def skip(board: TaskBoard, task: str, person: str, reason: str) -> str:
 
 
 def removed(board: TaskBoard, task: str, person: str, reason: str) -> str:
-    """Take a person's word that what a removal takes down, or what was placed, is gone, and no obstacle."""
+    """Record that what a removal takes down, or what was placed, is gone."""
     memory = _memory(board, task, person, former=True)
     if task in board.prepared.removals:
         if memory.state is TaskState.DONE:
@@ -80,7 +80,7 @@ def removed(board: TaskBoard, task: str, person: str, reason: str) -> str:
 
 
 def redo(board: TaskBoard, task: str, person: str, reason: str) -> str:
-    """Have a task done again, its element back in stock; of one that counts as carried, have it asked about."""
+    """Have a task done again, its element back in stock; one that counts as carried is asked about."""
     state = _memory(board, task, person).state
     if state is TaskState.CARRIED:
         board.add(Entry("unknown", task, person=person, reason=reason or "a person doubts that it is in the grip"))
@@ -102,7 +102,7 @@ def redo(board: TaskBoard, task: str, person: str, reason: str) -> str:
 
 
 def lost(board: TaskBoard) -> str:
-    """Take note that the tool is surely open: what counts as carried is asked about; return a sentence, empty: nothing is."""
+    """Have what counts as carried asked about, as the tool is surely open; return a sentence, empty: nothing is."""
     held = board.book.in_state(TaskState.CARRIED)
     if not held:
         return ""
@@ -112,10 +112,7 @@ def lost(board: TaskBoard) -> str:
 
 
 def answer(board: TaskBoard, task: str, answer: str, person: str, reason: str, shown: str = "") -> str:
-    """Take the answer to a task's question; return a sentence.
-
-    `shown`: The question as the person saw it; empty: it is not compared.
-    """
+    """Record the answer to a task's question; `shown`: the question that the person saw, empty: not compared."""
     memory = _memory(board, task, person, former=True)
     possible = board.answers(task)
     if not possible:
@@ -139,7 +136,7 @@ def answer(board: TaskBoard, task: str, answer: str, person: str, reason: str, s
 
 
 def answer_all(board: TaskBoard, given: str, person: str, reason: str) -> str:
-    """Answer, with what leaves it an obstacle, what is asked of all that was placed and can be answered so."""
+    """Answer all questions about what was placed."""
     _check_named(person)
     if given not in ANSWERS_FOR_ALL:
         answers = ", ".join(ANSWERS_FOR_ALL)
@@ -155,7 +152,6 @@ def answer_all(board: TaskBoard, given: str, person: str, reason: str) -> str:
 
 
 def _take_as(board: TaskBoard, task: str, heir: str, person: str, reason: str) -> None:
-    """Count what a task that is no more has placed as placed by one of the schedule."""
     memory, facts = board.book.tasks[task], board.built.element(heir)
     entry = replace(placed_elsewhere("same", heir, memory, reason), seen=board.prepared.present[heir].digest)
     body, goal = board.ledger.keep(facts.bodies), pose_tuple(facts.base_T_goal)
@@ -166,7 +162,7 @@ def _take_as(board: TaskBoard, task: str, heir: str, person: str, reason: str) -
 
 
 def look_around(board: TaskBoard) -> None:
-    """Have it asked about what other ledgers of the folder say was placed, where it is of this model or at a place of it."""
+    """Have it asked about what other ledgers of the folder placed of this model, or at a place of it."""
     for path in sorted(board.ledger.path.parent.glob("*.jsonl")):
         if path == board.ledger.path:
             continue
@@ -179,7 +175,6 @@ def look_around(board: TaskBoard) -> None:
 
 
 def _look_at(board: TaskBoard, memory: TaskMemory, mine: bool, source: str) -> None:
-    """Have it asked about what another ledger says was placed; its pose is known in the frame of the same robot only."""
     book, task = board.book, board.prepared.schedule.placing.get(memory.element, "")
     if any(each.element == memory.element and each.touched for each in book.tasks.values()):
         return
@@ -200,7 +195,7 @@ def _look_at(board: TaskBoard, memory: TaskMemory, mine: bool, source: str) -> N
 
 
 def measured(board: TaskBoard, element: str, pose: Pose, person: str, reason: str) -> Deviation:
-    """Take where an element really is."""
+    """Record where an element really is."""
     _check_named(person)
     task = board.prepared.schedule.placing.get(element)
     if task is None:
@@ -217,7 +212,7 @@ def measured(board: TaskBoard, element: str, pose: Pose, person: str, reason: st
 
 
 def _slot_free(board: TaskBoard, task: str) -> None:
-    """Refuse to count a task's element as back in its stock while another one counts as lying there."""
+    """Refuse to count an element as back in stock while another one lies there."""
     other = board.prepared.stock.instead_of(board.element_of(task), board.built.taken())
     if not other:
         return
@@ -227,7 +222,7 @@ def _slot_free(board: TaskBoard, task: str) -> None:
 
 
 def _memory(board: TaskBoard, task: str, person: str, former: bool = False) -> TaskMemory:
-    """Return what is known of a task of which a person says something; refuse one that there is not, or nobody's word."""
+    """Return what is known of a task that there is."""
     if task not in board.book.after and task not in board.book.former:
         raise WorkRefused(f"there is no task {task!r}; `twin work list` names them")
     if task not in board.book.after and not former:

@@ -18,7 +18,7 @@ from scipy.spatial import ConvexHull
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.files import read_file, write_whole
 from construction_twin.extensions.work.building import Body, Element
-from construction_twin.extensions.work.errors import BodyError, WorkError
+from construction_twin.extensions.work.errors import WorkError
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.scene.convex_pieces import convex_pieces
 from construction_twin.scene.mesh_file import MOST_TRIANGLES
@@ -35,31 +35,34 @@ _LARGEST = 8 * 2**20
 _FLAT = 0.001
 #: A hull of this fraction of its box is the box.
 _IS_BOX = 1e-9
-_UNIT = {"size": [1.0, 1.0, 1.0], "position": [0.0, 0.0, 0.0], "quaternion": [0.0, 0.0, 0.0, 1.0]}
 
 
 @dataclass(frozen=True)
 class ElementShape:
-    """One element as objects of the scene.
-
-    Attributes:
-        objects: ``<GlobalId>/0``, ``<GlobalId>/1``, ...; poses in the element's frame, `link` empty.
-        excess: How far they reach beyond the element, at most, where measured [m]; of a surface its margin.
-    """
+    """One element as objects ``<GlobalId>/0``, ... in its frame; `excess`: how far they reach beyond it at most [m]."""
 
     objects: tuple[SceneObject, ...]
     excess: float
 
 
-def element_shapes(elements: Iterable[Element], folder: Path) -> tuple[dict[str, ElementShape], dict[str, BodyError]]:
-    """Return many elements as objects of the scene, and those for which that is not possible; both by GlobalId."""
+def element_shapes(elements: Iterable[Element], folder: Path) -> tuple[dict[str, ElementShape], dict[str, str]]:
+    """Return many elements as objects of the scene, and why others cannot be; both by GlobalId."""
     shapes: dict[str, ElementShape] = {}
-    failures: dict[str, BodyError] = {}
+    failures: dict[str, str] = {}
     for element in elements:
         try:
-            shapes[element.id] = _shape(element.id, element.bodies, folder)
-        except BodyError as error:
-            failures[element.id] = error
+            if not element.bodies:
+                raise WorkError("found no geometry, expected at least one body; leave it out or give it a shape")
+            found = [_cached(body, folder) for body in element.bodies]
+        except ConstructionTwinError as error:
+            failures[element.id] = f"element {element.id}: {error}"
+        except OSError as error:
+            said = f"its mesh files cannot be kept in {folder}: {error.strerror}"
+            failures[element.id] = f"element {element.id}: {said}"
+        else:
+            pieces = [piece for _, each in found for piece in each]
+            named = (replace(piece, name=f"{element.id}/{number}") for number, piece in enumerate(pieces))
+            shapes[element.id] = ElementShape(tuple(named), max(reach for reach, _ in found))
     return shapes, failures
 
 
@@ -69,23 +72,6 @@ def box_of(element: Element) -> SceneObject:
     low, high = points.min(axis=0), points.max(axis=0)
     size = np.maximum(high - low, _FLAT)
     return SceneObject(f"{element.id}/0", "box", tuple(size.tolist()), tuple((0.5 * (low + high)).tolist()))
-
-
-def _shape(element: str, bodies: tuple[Body, ...], folder: Path) -> ElementShape:
-    if not bodies:
-        raise BodyError(element, "found no geometry, expected at least one body; leave it out or give it a shape")
-    objects: list[SceneObject] = []
-    most = 0.0
-    for body in bodies:
-        try:
-            reach, pieces = _cached(body, folder)
-        except ConstructionTwinError as error:
-            raise BodyError(element, str(error)) from error
-        except OSError as error:
-            raise BodyError(element, f"its mesh files cannot be kept in {folder}: {error.strerror}") from error
-        objects += [replace(piece, name=f"{element}/{len(objects) + number}") for number, piece in enumerate(pieces)]
-        most = max(most, reach)
-    return ElementShape(tuple(objects), most)
 
 
 def _cached(body: Body, folder: Path) -> tuple[float, list[SceneObject]]:
@@ -112,9 +98,7 @@ def _cached(body: Body, folder: Path) -> tuple[float, list[SceneObject]]:
 
 
 def _object(item: dict, folder: Path) -> SceneObject:
-    mesh = str((folder / item["mesh"]).absolute()) if item["mesh"] else ""
-    size, position, quaternion = (tuple(item[key]) for key in ("size", "position", "quaternion"))
-    return SceneObject("piece", item["shape"], size, position, quaternion, item["padding"], mesh)
+    return SceneObject("piece", **{**item, "mesh": str((folder / item["mesh"]).absolute()) if item.get("mesh") else ""})
 
 
 def _made(vertices: np.ndarray, triangles: np.ndarray, folder: Path) -> tuple[float, list[dict]]:
@@ -124,24 +108,19 @@ def _made(vertices: np.ndarray, triangles: np.ndarray, folder: Path) -> tuple[fl
         raise WorkError(f"found a body of {len(triangles)} triangles, expected at most {MOST_TRIANGLES}; simplify it")
     pieces = convex_pieces(vertices, triangles)
     if pieces is not None and pieces.reach <= BOUND:
-        return pieces.reach, [_description(points, folder) for points in pieces.corners]
+        return pieces.reach, [
+            _as_box(points) or {"shape": "mesh", "mesh": _write_mesh(*mesh_of(hull_solid(points)), folder)}
+            for points in pieces.corners
+        ]
     vertices, triangles = welded(vertices, triangles)
     if not len(triangles):
         raise WorkError("found a body without area, expected one that can be checked")
     mesh = _write_mesh(vertices, triangles, folder)
-    return MARGIN, [{"shape": "mesh", **_UNIT, "padding": MARGIN, "mesh": mesh}]
-
-
-def _description(points: np.ndarray, folder: Path) -> dict:
-    """Return what makes a SceneObject of a convex piece: a box where it is one."""
-    box = _as_box(points)
-    if box is not None:
-        return {**box, "shape": "box", "padding": 0.0, "mesh": ""}
-    mesh = _write_mesh(*mesh_of(hull_solid(points)), folder)
-    return {"shape": "mesh", **_UNIT, "padding": 0.0, "mesh": mesh}
+    return MARGIN, [{"shape": "mesh", "padding": MARGIN, "mesh": mesh}]
 
 
 def _as_box(points: np.ndarray) -> dict | None:
+    """Return what makes a SceneObject of a convex piece that is a box; None: it is none."""
     hull = ConvexHull(points)
     axes: list[np.ndarray] = []
     for normal in np.round(hull.equations[:, :3], 12):
@@ -165,6 +144,7 @@ def _as_box(points: np.ndarray) -> dict | None:
         return None
     centre = rotation @ (0.5 * (low + high))
     return {
+        "shape": "box",
         "size": (high - low).tolist(),
         "position": centre.tolist(),
         "quaternion": [float(value) for value in rotation_to_quaternion(rotation)],

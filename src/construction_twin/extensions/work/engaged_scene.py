@@ -1,13 +1,12 @@
-"""Which change of the scene is due for an arm that was left engaged: the scene must say what hangs on the tool before it goes back.
+"""The change by which the scene says what hangs on the tool of an arm that was left engaged, before it goes back.
 
-Pure. A change is only due when the scene that it leads to has a hash that the engagement names, and when it touches nothing but
-objects of the work: nobody's obstacle is taken away, and none is put back.
+The scene after it has a hash that the engagement names, and only objects of the work are changed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.reports import EngagementReport
@@ -15,15 +14,6 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.robot.segments import Segment
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
-
-
-@dataclass(frozen=True, eq=False)
-class Due:
-    """What is to be done about the scene: a change, or a sentence that says why none is known; neither: the scene is right."""
-
-    change: SceneChange | None = None
-    after: str = ""
-    sentence: str = ""
 
 
 def due(
@@ -34,45 +24,40 @@ def due(
     earlier: Iterable[Scene] = (),
     element: str = "",
     forms: Iterable[Sequence[SceneObject]] = (),
-) -> Due:
-    """Return what is to be done so that an engaged arm can go back.
+) -> SceneChange | str:
+    """Return the change of a scene in which an engaged arm cannot go back yet, or why none is known.
 
     Args:
-        segments: Of the plan that ended inside; empty: it is not known any more.
-        element: GlobalId of the element that the task places; empty: not known.
+        segments, changes: Of the plan that ended inside; empty: unknown.
+        forms: Objects of the element as the record can have them.
     """
-    if scene.hash in left.scenes:
-        return Due()
     leading = [change for segment, change in zip(segments, changes) if segment.scene_after in left.scenes]
     mine = {name for change in changes for name in (*change.remove, *(item.name for item in change.put))}
     alternatives = [tuple(form) for form in forms]
-    for base in (scene, *earlier):
-        wanted = _wanted(base, left.scenes, leading, element, alternatives)
-        if wanted is not None:
-            found = _lead(scene, wanted, mine)
-            return Due(found, wanted.hash) if isinstance(found, SceneChange) else _blocked(left, found)
-    problem = Sentence(
-        "no change of the work's objects makes the present scene {scene} the one in which it may go back ({scenes}): look at what "
-        "hangs on the tool, undo what was changed in the scene since",
-        scene=scene.hash[:12],
-        scenes=" or ".join(each[:12] for each in left.scenes) or "none is known",
-    )
-    if not segments:
-        problem = Sentence("plan {plan} is not known any more, and {problem}", plan=left.plan_id, problem=problem)
-    return _blocked(left, problem)
-
-
-def _blocked(left: EngagementReport, problem: str) -> Due:
-    where = f"the arm was left in engaged segment {left.segment!r} of plan {left.plan_id}"
-    return Due(
-        sentence=Sentence(
-            "{left}; {problem}, or free the arm by hand and call release_engagement", left=where, problem=problem
+    made = (_wanted(base, left.scenes, leading, element, alternatives) for base in (scene, *earlier))
+    wanted = next((each for each in made if each is not None), None)
+    if wanted is not None:
+        found = _lead(scene, wanted, mine)
+        if isinstance(found, SceneChange):
+            return found
+        problem = found
+    else:
+        problem = Sentence(
+            "no change of the work's objects makes the present scene {scene} the one in which it may go back ({scenes}): look at "
+            "what hangs on the tool, undo what was changed in the scene since",
+            scene=scene.hash[:12],
+            scenes=" or ".join(each[:12] for each in left.scenes) or "none is known",
         )
+        if not segments:
+            problem = Sentence("plan {plan} is not known any more, and {problem}", plan=left.plan_id, problem=problem)
+    where = f"the arm was left in engaged segment {left.segment!r} of plan {left.plan_id}"
+    return Sentence(
+        "{left}; {problem}, or free the arm by hand and call release_engagement", left=where, problem=problem
     )
 
 
 def confirmed(left: EngagementReport, segment: Segment) -> bool:
-    """Return whether the engagement says that what a segment switches at its end has happened, so that its change is due."""
+    """Return whether an engagement says that the switches at a segment's end have happened."""
     return segment.scene_after != segment.scene and set(left.scenes) == {segment.scene_after}
 
 
@@ -83,7 +68,7 @@ def _wanted(
     element: str,
     forms: Sequence[tuple[SceneObject, ...]],
 ) -> Scene | None:
-    """Return a scene with one of these hashes, made of another one; None: none was found."""
+    """Return a scene with one of these hashes, made of another one."""
     if base.hash in scenes:
         return base
     if element:

@@ -1,7 +1,4 @@
-"""Exceptions of work from a building model: a branch of the tree in `core.errors`.
-
-Messages say what, where, the value, what was expected and what to do.
-"""
+"""Exceptions of work from a building model."""
 
 from __future__ import annotations
 
@@ -14,19 +11,11 @@ class WorkError(ConstructionTwinError):
 
 
 class BuildingError(WorkError):
-    """A building model cannot be used.
-
-    Attributes:
-        what: Which part of it: ``#123=IFCWALL``, ``element '2O2Fr$t4X7Zf8NOew3FLOH'``.
-    """
+    """A building model cannot be used; `what`: which part of it."""
 
     def __init__(self, file: str, what: str, found: str, expected: str):
         self.file, self.what, self.found, self.expected = file, what, found, expected
         super().__init__(f"{file}: {what}: found {found}, expected {expected}")
-
-    def __reduce__(self):
-        """Return what it is made of again in another process."""
-        return type(self), (self.file, self.what, self.found, self.expected)
 
 
 class ScheduleError(WorkError):
@@ -34,15 +23,15 @@ class ScheduleError(WorkError):
 
 
 class PlacementError(WorkError):
-    """The model does not stand where the robot is, as far as its figures can tell."""
+    """The model does not stand where the robot is."""
 
 
 class TaskPlanningError(WorkError):
     """A task cannot be planned.
 
     Attributes:
-        stage: Segment that was not possible with the method that came furthest; empty: before any.
-        method: Name of that method, see `work.process.TaskMotions`; empty: none.
+        stage: Segment that failed, with the method that came furthest; empty: before any.
+        method: `TaskMotions.method`
     """
 
     def __init__(self, task: str, reason: str, stage: str = "", method: str = ""):
@@ -52,19 +41,7 @@ class TaskPlanningError(WorkError):
 
 
 class LedgerError(WorkError):
-    """What was done cannot be recorded, or its record cannot be read; nothing is done without it."""
+    """The ledger cannot be written or read; nothing is done without it."""
 
     def __init__(self, path: str, problem: str):
         super().__init__(f"{path}: {problem}")
-
-
-class BodyError(WorkError):
-    """An element's geometry cannot be brought into the scene."""
-
-    def __init__(self, element: str, problem: str):
-        self.element, self.problem = element, problem
-        super().__init__(f"element {element}: {problem}")
-
-    def __reduce__(self):
-        # it comes out of worker processes
-        return type(self), (self.element, self.problem)

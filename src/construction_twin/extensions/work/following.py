@@ -1,8 +1,7 @@
-"""What the executor's reports mean for the task whose plan it plays: the events, and their lines, before anybody acts on them.
+"""What the executor's reports mean for the task whose plan it plays.
 
-The executor goes on from the boundary at which the element is gripped or released only when the scene has changed, and the
-scene is changed after these lines are on the disk: without `gripped` no element was carried anywhere, without `released` none was
-let go and forgotten.
+The executor goes on from a grip or a release when the scene has changed, which happens after the line `gripped` or `released` is on
+the disk.
 """
 
 from __future__ import annotations
@@ -37,13 +36,11 @@ FINISHED = "finished"
 
 @dataclass(frozen=True)
 class Followed:
-    """A plan, as far as it is followed.
+    """Where a plan acts on the element.
 
     Attributes:
-        grips, releases: Numbers of the segments at whose ends the element is gripped and let go; negative: it does not, or that is
-            not known.
-        works: Number of the first engaged segment, before which nothing is done to an element that stays; negative: there is none,
-            or that is not known.
+        grips, releases: Numbers of the segments that end so; negative: none, or unknown.
+        works: Of the first engaged segment, before which an element that stays is untouched; negative: as above.
     """
 
     id: str
@@ -55,7 +52,7 @@ class Followed:
 def followed_plan(
     plan_id: str, memory: TaskMemory, segments: Sequence[Segment], changes: Sequence[SceneChange], tool: Tool
 ) -> Followed:
-    """Return a plan of a task as it is followed: where it grips the element, and where it lets go of it."""
+    """Return where a plan of a task grips the element, and lets go of it."""
     grips, releases = -1, -1
     for number, (segment, change) in enumerate(zip(segments, changes)):
         for switch in segment.switches:
@@ -69,7 +66,7 @@ def followed_plan(
 
 
 def followed_unseen(plan_id: str, memory: TaskMemory, outcome: str) -> Followed:
-    """Return a plan of a task that is not known any more, by its outcome: nothing tells of its segments, only of its end."""
+    """Return what the outcome alone tells of a plan whose segments are unknown."""
     if memory.stays:
         return Followed(plan_id, -1, -1)
     if outcome == FINISHED:
@@ -78,7 +75,7 @@ def followed_unseen(plan_id: str, memory: TaskMemory, outcome: str) -> Followed:
 
 
 class _Events:
-    """Collects the events of one task; its state after them is computed as the ledger computes it."""
+    """Collects events of a task; each is applied as the ledger will."""
 
     def __init__(self, memory: TaskMemory, plan: str):
         self.memory, self._plan = memory, plan
@@ -86,11 +83,9 @@ class _Events:
 
     @property
     def state(self) -> TaskState:
-        """The task's, after them."""
         return self.memory.state
 
     def add(self, event: TaskEvent, reason: str = "", pose: tuple[float, ...] = (), source: str = "") -> None:
-        """Add one event."""
         entry = Entry(event.value, self.memory.task, plan=self._plan, pose=pose, source=source, reason=reason)
         self.memory = self.memory.then(entry)
         self.entries.append(entry)
@@ -100,11 +95,11 @@ def follow(
     memory: TaskMemory, plan: Followed, report: ExecutionReport, grip: GripReading, built: tuple[float, ...] = (),
     source: str = "", confirmed: bool = False,
 ) -> list[Entry]:  # fmt: skip
-    """Return the events that a report adds to the task of a plan; none when it says nothing new of it.
+    """Return the events that a report adds to the task of a plan.
 
     Args:
-        built: Length 7 or 0. Where the element stands if it is let go now; empty: not known.
-        confirmed: The plan has ended at the end of the report's segment, and the tool did there what was asked of it.
+        built: Length 7 or 0. Where the element stands if it is let go now.
+        confirmed: The plan ended at the end of the report's segment, after the tool's switches there.
     """
     if report.plan_id != plan.id or memory.state not in (TaskState.PLANNED, *UNDER_WAY):
         return []
@@ -124,12 +119,13 @@ def follow(
         # of a plan that is not known any more, no segment says that the grip closed or let go
         return number >= 0 and (segment > number or (segment == number and at_its_end))
 
-    if events.state is TaskState.WORKING and behind(plan.grips, stands):
-        events.add(TaskEvent.GRIPPING)
-    if events.state is TaskState.GRIPPING and behind(plan.grips, confirmed):
-        events.add(TaskEvent.GRIPPED)
-    if events.state is TaskState.CARRYING and behind(plan.releases, stands):
-        events.add(TaskEvent.RELEASING)
+    for state, number, at_its_end, event in (
+        (TaskState.WORKING, plan.grips, stands, TaskEvent.GRIPPING),
+        (TaskState.GRIPPING, plan.grips, confirmed, TaskEvent.GRIPPED),
+        (TaskState.CARRYING, plan.releases, stands, TaskEvent.RELEASING),
+    ):
+        if events.state is state and behind(number, at_its_end):
+            events.add(event)
     if events.state is TaskState.RELEASING and behind(plan.releases, confirmed):
         events.add(TaskEvent.RELEASED, pose=built, source=source if built else "")
     if report.ended:
@@ -155,7 +151,7 @@ def _end(events: _Events, plan: Followed, report: ExecutionReport, grip: GripRea
 
 
 def after_restart(memory: TaskMemory, fate: Fate, grip: GripReading) -> list[Entry]:
-    """Return the events of a task whose plan the executor does not report any more, or never did."""
+    """Return the events of a task whose plan the executor does not report."""
     events = _Events(memory, fate.plan or memory.plan)
     if memory.state is TaskState.PLANNED:
         if fate.under_review:
@@ -178,14 +174,10 @@ def after_restart(memory: TaskMemory, fate: Fate, grip: GripReading) -> list[Ent
 
 
 class Follower:
-    """Adds to the ledger how the task under way goes on and ends; when a method returns, its lines are on the disk.
-
-    Not for several threads at once.
+    """Records how the task under way goes on and ends. For one thread.
 
     Args:
-        arm_pose: Returns the physical arm's present joint positions [rad], [m]; raises PoseUnknownError or PayloadError.
-        refuse: Counts what could not be used; takes reason and sentence.
-        log: Takes a sentence.
+        arm_pose: Returns joint positions [rad], [m]; raises PoseUnknownError or PayloadError.
     """
 
     def __init__(
@@ -197,7 +189,7 @@ class Follower:
         self._refuse, self._log = refuse, log
 
     def catch_up(self, report: ExecutionReport | None) -> None:
-        """Write all that a report, verdicts and tool have to say, and settle what nobody will report any more."""
+        """Record what reports, verdicts and tool say; settle what nobody will report."""
         self.follow(report)
         self._drop_if_turned_down()
         self.settle_if_lost()
@@ -212,7 +204,7 @@ class Follower:
     # -- the task under way
 
     def follow(self, report: ExecutionReport | None) -> None:
-        """Write what a report says of the task under way."""
+        """Record what a report says of the task under way."""
         left, memory = self._heard.left, self._under_way()
         if memory is None or report is None or self._heard.unsaid:
             return
@@ -232,7 +224,7 @@ class Follower:
     def _follow_left(
         self, memory: TaskMemory, left: EngagementReport, known: KnownPlan, report: ExecutionReport
     ) -> None:
-        """Write how the task's plan ended inside an engaged segment: what the tool has done by then is done."""
+        """Record how a plan ended inside an engaged segment, with what the tool has done by then."""
         followed, plan = self._followed(memory, known), known.plan
         if followed is None:
             return
@@ -247,23 +239,20 @@ class Follower:
         self._write(memory, followed, ended, confirmed)
 
     def _write(self, memory: TaskMemory, followed: Followed, report: ExecutionReport, confirmed: bool = False) -> None:
-        """Write the lines that follow from a report."""
         built, source = self._as_built(memory, followed, report) if followed.releases >= 0 else ((), "")
         self._add(follow(memory, followed, report, self.grip(), built, source, confirmed))
 
     def _add(self, entries: list[Entry]) -> None:
-        """Add events to the ledger, in their order."""
         for entry in entries:
             self._board.add(entry)
             reason = f"; {entry.reason}" if entry.reason else ""
             self._log(f"{self._board.title(entry.task)}: {entry.event}{reason}")
 
     def _under_way(self) -> TaskMemory | None:
-        """Return what is known of the task that is under review or under way; None: none is."""
         return self._board.book.tasks.get(self._board.book.busy)
 
     def _followed(self, memory: TaskMemory, known: KnownPlan | None) -> Followed | None:
-        """Return a plan of a task as it is followed; None when it is another's."""
+        """Return where a plan acts; None: it is another task's."""
         if known is None or known.plan.task != memory.task:
             return None
         plan = known.plan
@@ -274,7 +263,7 @@ class Follower:
     def _as_built(
         self, memory: TaskMemory, followed: Followed, report: ExecutionReport
     ) -> tuple[tuple[float, ...], str]:
-        """Return where the element stands if let go now: by the arm's own pose at the boundary, else by the plan's; and which."""
+        """Return where the element stands if let go now, by the arm's pose at the boundary or the plan's, and which."""
         known = self._heard.work_plan(followed.id)
         if known is None or not 0 <= followed.releases < len(known.plan.segments):
             return (), ""
@@ -287,13 +276,13 @@ class Follower:
                 q, source = self._arm_pose(), MEASURED
             except (PoseUnknownError, PayloadError) as error:
                 self._refuse("pose", f"the planned pose is taken for the arm's: {error}")
-        held, goal = pose_of_tuple(memory.tool0_T_element), self._board.goal(memory.task)
+        held, goal = pose_of_tuple(memory.tool0_T_element), self._board.built.element(memory.task).base_T_goal
         return pose_tuple(as_built(self._chain.forward(q), self._chain.forward(planned), held, goal)), source
 
     # -- a task that nobody reports
 
     def settle_if_lost(self) -> None:
-        """Settle a task under way that the executor does not know: it was started anew, or has gone on to another plan."""
+        """Settle a task under way that the executor does not know."""
         memory, report = self._under_way(), self._heard.execution
         if memory is None or report is None:
             return
@@ -303,7 +292,7 @@ class Follower:
             self.settle()
 
     def settle(self) -> None:
-        """Settle a task whose plan the executor does not report, and never will: by its record, else by asking."""
+        """Settle a task that the executor will not report: by its record, else by asking."""
         memory, report = self._under_way(), self._heard.execution
         if memory is None or self._heard.unsaid:
             return
@@ -313,20 +302,16 @@ class Follower:
         if fate.outcome != FINISHED:
             self._add(after_restart(memory, fate, self.grip()))
             return
-        ended = ExecutionReport("", "", fate.plan, fate.outcome)
-        unseen = followed_unseen(fate.plan, memory, fate.outcome)
         # where the element was to be let go is known as long as the plan is
-        known = self._heard.plan
-        followed = self._followed(memory, known) if known is not None and known.plan.id == fate.plan else None
-        built, source = self._as_built(memory, followed, ended) if followed is not None else ((), "")
-        self._add(follow(memory, unseen, ended, self.grip(), built, source))
+        followed = self._followed(memory, self._heard.work_plan(fate.plan))
+        followed = followed or followed_unseen(fate.plan, memory, fate.outcome)
+        self._write(memory, followed, ExecutionReport("", "", fate.plan, fate.outcome))
 
     def settle_offer(self, task: str, offer: str) -> None:
-        """Settle a task whose plan was offered to a planner that did not answer: it may have published it before it went away."""
+        """Settle a task whose plan the planner may have published without an answer."""
         self._add(after_restart(self._board.book.tasks[task], self._heard.fate("", offer), self.grip()))
 
     def _drop_if_turned_down(self) -> None:
-        """Take note of a plan under review that was rejected, replaced, or is void."""
         memory = self._under_way()
         said = self._heard.verdict(memory.plan) if memory is not None else None
         if memory is not None and memory.state is TaskState.PLANNED and said is not None and not said.approved:

@@ -1,13 +1,11 @@
-"""What the work has heard: of the executor, its plans and verdicts, the scene and the tool. Decides and writes nothing."""
+"""What the work receives: executor, plans, verdicts, scene and tool."""
 
 from __future__ import annotations
 
-import queue
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 from construction_twin.core.reports import EngagementReport, ExecutionReport, ToolReport
 from construction_twin.review.record import Fate, read_fate
@@ -20,12 +18,11 @@ from construction_twin.scene.scene_change import SceneChange
 _KEPT = 100
 #: Work plans and scenes that are remembered for an arm that is left engaged.
 _KEPT_PLANS, _KEPT_SCENES = 4, 12
-_Kept = TypeVar("_Kept")
 
 
 @dataclass(frozen=True, eq=False)
 class KnownPlan:
-    """A plan that was published; `changes`: what each of its segments does to the scene."""
+    """A published plan, and what each of its segments does to the scene."""
 
     plan: Plan
     changes: tuple[SceneChange, ...]
@@ -33,7 +30,7 @@ class KnownPlan:
 
 @dataclass(frozen=True)
 class Verdict:
-    """A person's verdict on a plan, as the executor recorded it."""
+    """A verdict on a plan."""
 
     plan_id: str
     approved: bool
@@ -46,8 +43,8 @@ class GripReading:
     """What the tool says of its grip.
 
     Attributes:
-        closed: An output commands it to hold, or an input says that it does; meaningless where it is not known.
-        commanded: The outputs that command it to hold, as they read back; empty where it is not known.
+        closed: An output commands it to hold, or an input says that it does.
+        commanded: The outputs that command it to hold.
     """
 
     known: bool
@@ -61,30 +58,29 @@ class GripReading:
 
 
 def grip_of(tool: Tool, outputs: Mapping[str, bool], inputs: Mapping[str, bool]) -> GripReading:
-    """Return what a tool's outputs and inputs, read back, say of its grip."""
+    """Return what a tool's outputs and inputs say of its grip."""
     asked = tuple(name for name, value in tool.grip.set.items() if outputs.get(name) == value)
     holds = any(inputs.get(name) == value for name, value in tool.grip.confirm.items())
     return GripReading(True, bool(asked) or holds, asked)
 
 
 class Heard:
-    """Keeps what was heard, from any thread.
+    """Keeps the newest of each, for any thread.
 
     Args:
-        publishers: Takes ``execution``, ``plan`` or ``tool``; returns how many nodes that are heard publish it now.
-        ends: Returns whether this process is to end: nothing is waited for then.
+        publishers: Returns how many nodes publish ``execution``, ``plan`` or ``tool``.
+        ends: Returns whether this process ends: waits end then.
         review_file: The executor's record of verdicts.
 
     Attributes:
-        plan: The one that was published last.
-        engagement: None: the executor has not said yet whether the arm is engaged.
+        engagement: None: unknown.
     """
 
     def __init__(self, publishers: Callable[[str], int], ends: Callable[[], bool], review_file: Path):
         self._publishers, self._ends = publishers, ends
         self._review_file = review_file
         self._changed = threading.Condition()
-        self._news: queue.SimpleQueue[None] = queue.SimpleQueue()
+        self._news = threading.Event()
         self.execution: ExecutionReport | None = None
         self.plan: KnownPlan | None = None
         self.engagement: EngagementReport | None = None
@@ -92,13 +88,13 @@ class Heard:
         self.tool: ToolReport | None = None
         #: The planner that published the plan is still there, and gives it to an executor that starts anew.
         self._plan_offered = False
-        #: By plan, by hash, and by plan; the newest last. Of scenes and plans an engaged arm's scene is made.
-        self._verdicts: dict[str, Verdict] = {}
-        self._scenes: dict[str, Scene] = {}
-        self._work_plans: dict[str, KnownPlan] = {}
+        #: The newest first. Of scenes and plans an engaged arm's scene is made.
+        self._verdicts: list[Verdict] = []
+        self._scenes: list[Scene] = []
+        self._work_plans: list[KnownPlan] = []
 
     def take(self, said: ExecutionReport | EngagementReport | ToolReport | KnownPlan | Verdict | Scene) -> None:
-        """Store what was heard, and wake whoever waits for it."""
+        """Store what was received, and wake whoever waits for it."""
         with self._changed:
             match said:
                 case ExecutionReport():
@@ -108,35 +104,32 @@ class Heard:
                 case ToolReport():
                     self.tool = said
                 case Verdict():
-                    _keep(self._verdicts, said.plan_id, said, _KEPT)
+                    self._verdicts = [said, *self._verdicts][:_KEPT]
                 case Scene():
                     self.scene = said
-                    _keep(self._scenes, said.hash, said, _KEPT_SCENES)
+                    self._scenes = [said, *(one for one in self._scenes if one.hash != said.hash)][:_KEPT_SCENES]
                 case KnownPlan():
                     self.plan, self._plan_offered = said, True
                     # a way back changes nothing, and may be planned again and again
                     if any(segment.scene != segment.scene_after for segment in said.plan.segments):
-                        _keep(self._work_plans, said.plan.id, said, _KEPT_PLANS)
+                        others = (one for one in self._work_plans if one.plan.id != said.plan.id)
+                        self._work_plans = [said, *others][:_KEPT_PLANS]
             self._changed.notify_all()
         self.announce()
 
     def announce(self) -> None:
         """Let whoever waits for news know that there are some."""
-        self._news.put(None)
+        self._news.set()
 
     def wait_for_news(self, seconds: float) -> bool:
-        """Return whether there was news within a time [s], one piece for each that was taken and each `announce`."""
-        try:
-            self._news.get(timeout=seconds)
-        except queue.Empty:
+        """Return whether there was news within a time [s]."""
+        if not self._news.wait(seconds):
             return False
+        self._news.clear()
         return True
 
     def wait_for(self, condition: Callable[[], object], seconds: float) -> bool:
-        """Return whether a condition on what was heard holds, or the process is to end, within a time [s].
-
-        The condition must wait for nobody: nothing is taken while it is computed.
-        """
+        """Return whether a condition on what was received holds, or the process ends, within a time [s]."""
         with self._changed:
             return bool(self._changed.wait_for(lambda: condition() or self._ends(), seconds))
 
@@ -144,7 +137,7 @@ class Heard:
 
     @property
     def executor_said(self) -> bool:
-        """Whether the executor's state is known, or nobody is there to tell it."""
+        """Whether the executor's state is known, or it has no publisher."""
         return self.execution is not None or not self._publishers("execution")
 
     @property
@@ -159,48 +152,43 @@ class Heard:
 
     @property
     def left(self) -> EngagementReport | None:
-        """Where the arm was left engaged; None: it was not, or that is not known yet."""
+        """Where the arm was left engaged; None: nowhere, or unknown."""
         return self.engagement if self.engagement is not None and self.engagement.engaged else None
 
     @property
     def unsaid(self) -> bool:
-        """Whether the arm was left engaged and `engagement` does not say yet where: the disk takes that first."""
+        """Whether the arm was left engaged at a place still unknown: the disk takes it first."""
         return self.execution is not None and self.execution.engaged and self.left is None
 
     # -- plans and scenes
 
     def work_plan(self, plan_id: str) -> KnownPlan | None:
-        """Return one of the last work plans that change the scene; None: it is not known, or not any more."""
-        return self._work_plans.get(plan_id)
+        """Return one of the last work plans that change the scene; None: unknown."""
+        return next((one for one in self._work_plans if one.plan.id == plan_id), None)
 
     def scenes(self) -> list[Scene]:
-        """Return the scenes seen last, the newest first."""
-        with self._changed:
-            return list(reversed(self._scenes.values()))
+        """Return the scenes received last, the newest first."""
+        return self._scenes
 
     def verdict(self, plan_id: str) -> Verdict | None:
-        """Return the verdict on a plan as the topic told it; None: it told none."""
-        return self._verdicts.get(plan_id)
+        """Return the verdict on a plan; None: none was received."""
+        return next((one for one in self._verdicts if one.plan_id == plan_id), None)
 
     def fate(self, plan_id: str, offer: str) -> Fate:
         """Return what became of a plan, from the topics, else from the executor's record.
 
         Args:
-            plan_id: Empty: the plan is known by the offer alone.
-            offer: Part of the plan's source; empty: its id must fit.
+            offer: Part of its source, for a plan without known id.
         """
         plan = self.plan.plan if self.plan is not None else None
         if plan is not None and (plan.id == plan_id or (offer and offer in plan.source)):
-            if plan.id not in self._verdicts and self._publishers("plan"):
+            if self.verdict(plan.id) is None and self._publishers("plan"):
                 return Fate(plan.id, False, under_review=True)
             plan_id = plan.id
         return read_fate(self._review_file, plan_id, offer)
 
     def forget_if_nobody_has(self, plan_id: str) -> bool:
-        """Return whether a plan under review went with planner and executor, so that nobody can approve it any more.
-
-        It counts as published no longer then.
-        """
+        """Return whether a plan under review went with planner and executor; forget it then."""
         if not self._publishers("plan"):
             self._plan_offered = False
         # an executor that is still there has the plan, whatever became of the planner
@@ -214,7 +202,7 @@ class Heard:
 
     @property
     def tool_said(self) -> bool:
-        """Whether the tool's state is known, or nobody is there to tell it."""
+        """Whether the tool's state is known, or it has no publisher."""
         return self.tool is not None or not self._publishers("tool")
 
     def grip(self, tool: Tool) -> GripReading:
@@ -223,11 +211,3 @@ class Heard:
         if said is None or not said.known or not self._publishers("tool"):
             return GripReading(False, False)
         return grip_of(tool, said.outputs, said.inputs)
-
-
-def _keep(kept: dict[str, _Kept], key: str, value: _Kept, most: int) -> None:
-    """Remember a value as the newest, and forget the oldest above a number."""
-    kept.pop(key, None)
-    kept[key] = value
-    while len(kept) > most:
-        kept.pop(next(iter(kept)))

@@ -1,9 +1,6 @@
-"""The ledger: the log of what was done of a building model, one event per line, on the disk before anybody acts on it.
+"""The ledger: one event per line, on the disk before anybody acts on it; the states of the tasks are computed from its lines.
 
-An append-only file (`core.append_only`), one per robot and site. From its events the state of every task is computed by one pure
-fold (`fold`, `Book.then`), so that a node that was killed at any instant comes back with what is true. Its file is the only memory,
-with the bodies beside it that its lines name by digest. When the model has changed since, a person is asked about everything that
-was touched.
+One per robot and site; beside it the bodies that lines name by digest.
 """
 
 from __future__ import annotations
@@ -17,7 +14,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from construction_twin.core.append_only import AppendOnlyFile, read_lines
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.files import write_whole
 from construction_twin.extensions.work.errors import LedgerError
 from construction_twin.extensions.work.task_memory import (
@@ -44,10 +41,7 @@ _FREED, _BLOCKED = Entry(TaskEvent.FREED.value), Entry(TaskEvent.BLOCKED.value)
 
 @dataclass(frozen=True)
 class Present:
-    """What the present model says of a task's element.
-
-    `digest`: SHA-256 of all that a person is asked about when it changes: GlobalId, name, class, shape, place; empty: no shape.
-    """
+    """What the present model says of a task's element; `digest`: SHA-256 of that, with shape and place; empty: no shape."""
 
     element: str
     name: str = ""
@@ -57,15 +51,14 @@ class Present:
 
 @dataclass(frozen=True, eq=False)
 class Book:
-    """What is known after some events; made by `fold`.
+    """The state of every task after some events; made by `fold`.
 
     Attributes:
-        after: Ids of the tasks that must be settled before each task, in the order in which they can be done.
-        tasks: By id, in that order; behind them those that the schedule does not have any more.
-        accepted: Digest of the schedule that a person has accepted; empty: none.
-        model, cell: SHA-256 of the model and path of the cell that were worked with last; empty: none yet.
-        robot: Its name; empty: not known.
-        found: What other ledgers say was placed, as `found` named it.
+        after: The tasks that must be settled before each task of the schedule, in an order in which they can be done.
+        tasks: In that order; behind them those of former schedules.
+        accepted: Digest of the schedule that a person has accepted.
+        model, cell: SHA-256 and path, of the last ones.
+        found: `Entry.source` of what other ledgers say was placed.
     """
 
     after: Mapping[str, tuple[str, ...]]
@@ -77,10 +70,10 @@ class Book:
     found: frozenset[str] = frozenset()
 
     def then(self, entry: Entry) -> Book:
-        """Return what is known after one more event.
+        """Return the book after one more event.
 
         Raises:
-            NotNow: If it does not fit the states that the events before it left.
+            NotNow: If it does not fit.
         """
         if entry.event == ACCEPTED:
             return replace(self, accepted=entry.schedule)
@@ -89,7 +82,9 @@ class Book:
         if entry.event in OF_NO_TASK:
             return self
         before = self.tasks.get(entry.task, TaskMemory(entry.task))
-        memory = _taken(before, entry)
+        # what was done was done, even if a schedule that was changed since would have had it wait
+        waits = before.state is TaskState.WAITING and not before.takes(entry)
+        memory = (before.then(_FREED) if waits else before).then(entry)
         tasks = {**self.tasks, entry.task: memory}
         for task, other in self.tasks.items():
             # what is said now of where an element is replaces what was known of it by a task that is no more
@@ -104,14 +99,6 @@ class Book:
         found = self.found | {entry.source} if entry.event == TaskEvent.FOUND.value else self.found
         return replace(self, tasks=tasks, found=found)
 
-    def check(self, entry: Entry) -> None:
-        """Refuse what does not fit the present states, before it is written."""
-        if entry.event in OF_NO_TASK:
-            return
-        if entry.task not in self.tasks and not entry.former and entry.event != TaskEvent.FOUND.value:
-            raise LedgerError("ledger", f"no task {entry.task!r}; expected one of the schedule's {len(self.tasks)}")
-        self.tasks.get(entry.task, TaskMemory(entry.task)).then(entry)
-
     # -- what is known
 
     def in_state(self, *states: TaskState) -> tuple[str, ...]:
@@ -125,13 +112,8 @@ class Book:
 
     @property
     def in_grip(self) -> tuple[str, ...]:
-        """The tasks whose element is held by the tool, as far as is known."""
+        """The tasks whose element is in the grip."""
         return tuple(name for name, memory in self.tasks.items() if memory.in_grip)
-
-    @property
-    def standing(self) -> tuple[str, ...]:
-        """The tasks whose element is placed."""
-        return tuple(name for name, memory in self.tasks.items() if memory.placed)
 
     @property
     def open(self) -> tuple[str, ...]:
@@ -158,15 +140,12 @@ class Book:
 
     @property
     def former(self) -> dict[str, TaskMemory]:
-        """What is known of elements that were taken from their stock by tasks that the schedule does not have any more."""
+        """Return the tasks of former schedules that have taken an element from its stock."""
         left = {task: memory for task, memory in self.tasks.items() if task not in self.after}
         return {task: memory for task, memory in left.items() if memory.touched and not memory.stays}
 
     def handed_over(self, present: Mapping[str, Present]) -> list[Entry]:
-        """Return the events after which no task of the schedule counts with what it has done to another element than it has now.
-
-        What it has left of that one goes by the element's own id, as of a task that is no more.
-        """
+        """Return the events by which what a task has done to another element than its present one goes by that element's id."""
         found = []
         for task, memory in self.tasks.items():
             if task not in present or memory.element in ("", present[task].element) or memory.stays:
@@ -186,10 +165,7 @@ class Book:
         standing: Collection[str] = (),
         present: Mapping[str, Present] = MappingProxyType({}),
     ) -> list[Entry]:
-        """Return the events by which a person is asked about what was touched for another version of model or schedule.
-
-        What was placed is not asked about again where nothing has changed since it was placed or answered.
-        """
+        """Return the events by which a person is asked about what was touched and has changed since it was placed or answered."""
         found, called = [], {(each.name, each.ifc_class) for each in present.values()}
         for task, memory in self.tasks.items():
             no_more, stands = task not in self.after, memory.placed and memory.state in SETTLED
@@ -216,7 +192,7 @@ class Book:
 
 
 def placed_elsewhere(event: str, task: str, memory: TaskMemory, reason: str = "", source: str = "") -> Entry:
-    """Return the event by which a task takes over what another one has left where it stands."""
+    """Return the event by which a task takes over an element of another one."""
     if event == TaskEvent.SAME.value and memory.as_planned:
         source = PLANNED
     return Entry(
@@ -226,15 +202,8 @@ def placed_elsewhere(event: str, task: str, memory: TaskMemory, reason: str = ""
 
 
 def fold(after: Mapping[str, tuple[str, ...]]) -> Book:
-    """Return what is known before any event; `after`: see `Book`."""
+    """Return the states before any event."""
     return Book(dict(after), _settled(after, {task: TaskMemory(task) for task in after}))
-
-
-def _taken(memory: TaskMemory, entry: Entry) -> TaskMemory:
-    if memory.state is TaskState.WAITING and not memory.takes(entry):
-        # what was done was done, even if a schedule that was changed since would have had it wait
-        memory = memory.then(_FREED)
-    return memory.then(entry)
 
 
 def _missing(after: Mapping[str, tuple[str, ...]], tasks: Mapping[str, TaskMemory], task: str) -> tuple[str, ...]:
@@ -242,7 +211,6 @@ def _missing(after: Mapping[str, tuple[str, ...]], tasks: Mapping[str, TaskMemor
 
 
 def _settled(after: Mapping[str, tuple[str, ...]], tasks: Mapping[str, TaskMemory]) -> dict[str, TaskMemory]:
-    """Return the tasks, those that wait for nobody free, and those that wait for others not."""
     settled = dict(tasks)
     for name, memory in tasks.items():
         if memory.state is TaskState.WAITING and not _missing(after, tasks, name):
@@ -252,17 +220,8 @@ def _settled(after: Mapping[str, tuple[str, ...]], tasks: Mapping[str, TaskMemor
     return settled
 
 
-#: Largest ledger that is read [bytes].
-LARGEST = 256 * 2**20
-
-
 class Ledger:
-    """The file, and what its events say. Not for several threads at once.
-
-    Args:
-        clock: Returns the time since 1970 in UTC [ns].
-        robot: Its name, in whose frame the poses are.
-    """
+    """The file and its book; for one thread. `clock`: Returns the time since 1970 [ns]; other arguments as of `Book`."""
 
     def __init__(
         self,
@@ -279,15 +238,7 @@ class Ledger:
         self.path = Path(path)
         self._bodies = self.path.parent / "standing"
         self._clock = clock
-        try:
-            # read in full before every use: a ledger of this size is no ledger
-            if self.path.exists() and self.path.stat().st_size > LARGEST:
-                raise LedgerError(str(path), f"larger than {LARGEST / 2**20:g} MiB; move it away")
-            self._file = AppendOnlyFile(self.path, LedgerError, "work node")
-        except ConfigurationError as error:
-            raise LedgerError(str(path), _problem(error, str(path))) from error
-        except OSError as error:
-            raise LedgerError(str(path), str(error)) from error
+        self._file = AppendOnlyFile(self.path, LedgerError, "work node")
         try:
             self.book = replay(self.path, after)
             if self._file.lines == 0:
@@ -311,32 +262,30 @@ class Ledger:
         return self._file.lines
 
     def add(self, entry: Entry) -> None:
-        """Write an event, then count with it; when this returns it is on the disk.
+        """Write an event; it is on the disk when this returns.
 
         Raises:
-            NotNow: If it does not fit; nothing is written.
-            LedgerError: If it cannot be written; nothing is taken.
+            NotNow, LedgerError: Nothing is written.
         """
-        self.book.check(entry)
         now = self._clock()
+        book = self.book.then(replace(entry, time_ns=now))
         self._file.append(now, entry.fields())
-        self.book = self.book.then(replace(entry, time_ns=now))
+        self.book = book
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._file.close()
 
     # -- bodies
 
     def keep(self, bodies: Sequence[SceneObject]) -> str:
-        """Keep an element's pieces, whatever becomes of model and cache; return their digest. They are on the disk then."""
+        """Write an element's pieces to the disk, independent of model and cache; return their digest."""
+        digest = body_digest(bodies)
         try:
             for item in bodies:
                 if item.mesh:
                     self._write(_mesh_name(item), Path(item.mesh).read_bytes())
-            text = _contents(bodies)
-            digest = hashlib.sha256(text).hexdigest()
-            self._write(f"{digest}.json", text)
+            self._write(f"{digest}.json", _contents(bodies))
         except OSError as error:
             raise LedgerError(str(self._bodies), str(error)) from error
         return digest
@@ -354,23 +303,19 @@ class Ledger:
                 os.close(handle)
 
     def body(self, element: str, digest: str) -> tuple[SceneObject, ...]:
-        """Return the pieces of an element that were kept, called ``<element>/0``, ..., in its frame."""
+        """Return kept pieces as ``<element>/0``, ..., in the element's frame."""
         path = self._bodies / f"{digest}.json"
         try:
-            content = path.read_bytes()
-            if hashlib.sha256(content).hexdigest() != digest:
-                raise ValueError("it is not what it was when it was written; restore the folder")
-            pieces = tuple(
-                SceneObject(
-                    f"{element}/{number}", **{**kept, "mesh": kept["mesh"] and str(self._bodies / kept["mesh"])}
-                )
-                for number, kept in enumerate(json.loads(content))
-            )
-            if any(item.mesh and item.mesh_digest != Path(item.mesh).stem for item in pieces):
+            content, pieces = path.read_bytes(), []
+            changed = hashlib.sha256(content).hexdigest() != digest
+            for number, kept in enumerate([] if changed else json.loads(content)):
+                kept["mesh"] = kept["mesh"] and str(self._bodies / kept["mesh"])
+                pieces.append(SceneObject(f"{element}/{number}", **kept))
+            if changed or any(item.mesh and item.mesh_digest != Path(item.mesh).stem for item in pieces):
                 raise ValueError("it is not what it was when it was written; restore the folder")
         except (OSError, ValueError, ConstructionTwinError) as error:
             raise LedgerError(str(path), str(error)) from error
-        return pieces
+        return tuple(pieces)
 
 
 #: What is kept of each piece, besides its mesh.
@@ -391,15 +336,8 @@ def _mesh_name(item: SceneObject) -> str:
     return f"{item.mesh_digest}{Path(item.mesh).suffix}" if item.mesh else ""
 
 
-def _problem(error: ConfigurationError, path: str) -> str:
-    """Return what is wrong without the path, which the error of a ledger names itself."""
-    if error.where != path:
-        return str(error)
-    return f"found {'nothing' if error.value is None else repr(error.value)}, expected {error.expected}"
-
-
 def replay(path: Path, after: Mapping[str, tuple[str, ...]]) -> Book:
-    """Return what the lines of a ledger say."""
+    """Return the book after the lines of a ledger."""
     book = fold(after)
     for number, entry in enumerate(read_entries(path), start=1):
         if number == 1 and entry.event != OPENED:
@@ -413,11 +351,7 @@ def replay(path: Path, after: Mapping[str, tuple[str, ...]]) -> Book:
 
 def read_entries(path: Path) -> Iterator[Entry]:
     """Read the lines of a ledger."""
-    try:
-        lines = read_lines(path)
-    except ConfigurationError as error:
-        raise LedgerError(str(path), _problem(error, str(path))) from error
-    for number, fields in enumerate(lines, start=1):
+    for number, fields in enumerate(read_lines(path), start=1):
         try:
             yield entry_of(fields)
         except (ValueError, TypeError, AttributeError) as error:

@@ -1,4 +1,4 @@
-"""Sentences with names in place of the ids of a building model: a GlobalId of 22 characters says nothing to a person. Pure."""
+"""Names in place of the ids of a building model, in sentences."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _IN_PARENTHESES = re.compile(r" \((?P<id>[\w$#]{1,64})\)")
 
 
 def labels(names: Mapping[str, str]) -> dict[str, str]:
-    """Return what stands for each id in a sentence: its name in quotes, with the id where others have it; not of what has none."""
+    """Return what stands for each id: its name in quotes, with the id where others have it; none without a name."""
     count = Counter(names.values())
     return {key: repr(name) if count[name] == 1 else f"{name!r} ({key})" for key, name in names.items() if name}
 
 
 def named(text: str, known: Mapping[str, str]) -> str:
-    """Return a sentence with what stands for each id in its place, also in the values by which it is said in another language."""
+    """Return a sentence with names for ids, in the values of a `Sentence` too."""
     if isinstance(text, Sentence):
         values = {key: named(value, known) if isinstance(value, str) else value for key, value in text.values.items()}
         return Sentence.of(_labelled(text, known), text.template, values)
@@ -32,7 +32,6 @@ def named(text: str, known: Mapping[str, str]) -> str:
 
 
 def _labelled(text: str, known: Mapping[str, str]) -> str:
-    """Return a text with what stands for each id in its place."""
 
     def label(found: re.Match[str]) -> str:
         said = known.get(found["whole"]) or known.get(found["id"])
@@ -45,7 +44,7 @@ def _labelled(text: str, known: Mapping[str, str]) -> str:
 
 
 def _quoted(text: str, known: Mapping[str, str]) -> str:
-    """Return a sentence in which a name before its id in parentheses stands in quotes, as what stands for the id does."""
+    """Return a sentence in which a name before its id in parentheses stands in quotes."""
     parts, at = [], 0
     for found in _IN_PARENTHESES.finditer(text):
         name = known.get(found["id"], "").removesuffix(f" ({found['id']})")

@@ -1,7 +1,4 @@
-"""A building model in its cell, read: what is to be done, with what, and where everything is. Records only.
-
-Times in s, poses in the robot's base_link [m].
-"""
+"""A building model in its cell, loaded: what is to be done, with what, and where everything is. Poses in the base_link [m]."""
 
 from __future__ import annotations
 
@@ -32,13 +29,12 @@ WORKER = (sys.executable, "-m", "construction_twin.extensions.work.worker_functi
 
 @dataclass(frozen=True, eq=False)
 class ElementFacts:
-    """What is known of an element that is to be placed.
+    """An element that is to be worked on.
 
     Attributes:
         bodies: Convex pieces ``<GlobalId>/0``, ..., in the element's frame.
-        ifc_class: ``IfcMember``.
-        triangles: Shape (t, 3, 3). For pictures, in the element's frame [m].
-        mass: That is planned with [kg]; None: nobody says.
+        triangles: Shape (t, 3, 3), in the element's frame [m].
+        mass: [kg]
     """
 
     name: str
@@ -51,12 +47,7 @@ class ElementFacts:
 
 @dataclass(frozen=True)
 class Scheduled:
-    """When a schedule has a job.
-
-    Attributes:
-        start: ISO 8601; empty: not said.
-        duration: [s]; None: not said.
-    """
+    """When the model's schedule has a job: ISO 8601, and [s]."""
 
     start: str = ""
     duration: float | None = None
@@ -64,13 +55,12 @@ class Scheduled:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A model in its cell, read.
+    """A loaded model.
 
     Attributes:
-        tool_objects: The tool's shapes, carried by the arm's tip link.
-        unplannable: Why an element can never be planned, by GlobalId; it has no slot.
+        unplannable: By GlobalId, why an element can never be planned.
         standing: What stands where the model has it, and no task makes.
-        comes_after: Elements that are placed before such an element is there, by its GlobalId, of those that wait for any.
+        comes_after: By GlobalId, the elements that are placed before one is there.
     """
 
     model: str
@@ -90,7 +80,7 @@ class Prepared:
 
     @property
     def after(self) -> dict[str, tuple[str, ...]]:
-        """What each removal and job waits for, in the schedule's order."""
+        """The jobs that each removal and job waits for, in the schedule's order."""
         return {
             job.id: tuple(dict.fromkeys(wait.job for wait in job.after))
             for job in (*self.schedule.removals, *self.schedule.jobs)
@@ -98,19 +88,19 @@ class Prepared:
 
     @cached_property
     def titles(self) -> dict[str, str]:
-        """Return what each job and removal is called in sentences."""
+        """What each job and removal is called in sentences."""
         every = {job.id: job.name for job in (*self.schedule.jobs, *self.schedule.removals)}
         return {**{job: job for job in every}, **labels(every)}
 
     @cached_property
     def present(self) -> dict[str, Present]:
-        """Return what the model says of the element of each job and removal."""
+        """What the model says of the element of each job and removal."""
         jobs = (*self.schedule.jobs, *self.schedule.removals)
         return {job.id: _present(job.element, self.elements[job.element]) for job in jobs}
 
     @property
     def standing_elements(self) -> frozenset[str]:
-        """GlobalIds of what stands where the model has it, as no task places it."""
+        """The elements that no task places."""
         worked_on = (job.element for job in self.schedule.jobs if not job.moves)
         return frozenset((*map(element_in, self.standing), *worked_on)) - {*self.schedule.placing}
 
@@ -125,7 +115,7 @@ class Prepared:
 
 
 def _present(element: str, facts: ElementFacts) -> Present:
-    """Return what the model says of an element; where it is to 0.1 mm, so that how a file writes its numbers is no change."""
+    """Return what the model says of an element; its place to 0.1 mm, as files round numbers."""
     digest = ""
     if facts.bodies:
         goal = np.column_stack((facts.base_T_goal.rotation, facts.base_T_goal.position))

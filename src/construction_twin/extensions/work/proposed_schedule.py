@@ -11,7 +11,10 @@ from __future__ import annotations
 
 import heapq
 import uuid
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
+from graphlib import CycleError, TopologicalSorter
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -20,6 +23,7 @@ from construction_twin.extensions.work.errors import ScheduleError
 from construction_twin.extensions.work.names import first_few
 from construction_twin.extensions.work.wholes import workpieces
 
+T = TypeVar("T")
 _DIGITS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz_$"
 _IDS = uuid.UUID("5b0f6c3e-9d1a-4b52-8a35-6c1f7d2e9b40")
 
@@ -46,9 +50,15 @@ def propose(model: BuildingModel) -> BuildingModel:
     if not solids:
         raise ScheduleError(f"{model.file}: it has no workpiece with geometry; an order cannot be proposed")
     notes: list[str] = []
-    before = _supports(solids)
-    notes += _held_at_the_side(solids, before)
-    order = _built(solids, before, notes)
+    near = _near(solids)
+    before: dict[int, set[int]] = {number: set() for number in range(len(solids))}
+    for i, j in near:
+        for lower, upper in ((i, j), (j, i)):
+            if _rests(solids[upper], solids[lower]):
+                before[upper].add(lower)
+    notes += _held_at_the_side(solids, near, before)
+    notes += _break_circles(solids, before)
+    order = in_order(before, lambda number: solids[number].key())
     root = Task(global_id("proposed schedule", model.project), "Proposed order")
     tasks = {}
     for number in order:
@@ -69,14 +79,9 @@ class _Solid:
 
     def __init__(self, element: Element):
         self.element = element
-        pose = element.model_T_element
-        corners = []
-        for body in element.bodies:
-            vertices = body.vertices @ pose.rotation.T + pose.position
-            corners.append(vertices[body.triangles])
-        triangles = np.concatenate(corners)
-        points = triangles.reshape(-1, 3)
-        self.low, self.high = points.min(axis=0), points.max(axis=0)
+        pose, (self.low, self.high) = element.model_T_element, element.box
+        corners = [body.vertices[body.triangles] for body in element.bodies]
+        triangles = np.concatenate(corners) @ pose.rotation.T + pose.position
         first, second = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
         normals = np.cross(first, second)
         size = np.linalg.norm(normals, axis=1)
@@ -99,16 +104,6 @@ def _near(solids: list[_Solid]) -> list[tuple[int, int]]:
         pairs += [(i, j) for j in active if np.all(solids[j].low <= high) and np.all(solids[j].high >= low)]
         active.append(i)
     return pairs
-
-
-def _supports(solids: list[_Solid]) -> dict[int, set[int]]:
-    """Return which elements each rests on."""
-    below: dict[int, set[int]] = {number: set() for number in range(len(solids))}
-    for i, j in _near(solids):
-        for lower, upper in ((i, j), (j, i)):
-            if _rests(solids[upper], solids[lower]):
-                below[upper].add(lower)
-    return below
 
 
 def _rests(upper: _Solid, lower: _Solid) -> bool:
@@ -147,11 +142,11 @@ def _heights(triangles: np.ndarray, points: np.ndarray, band: tuple[float, float
     return found
 
 
-def _held_at_the_side(solids: list[_Solid], before: dict[int, set[int]]) -> list[str]:
+def _held_at_the_side(solids: list[_Solid], near: list[tuple[int, int]], before: dict[int, set[int]]) -> list[str]:
     """Put what nothing supports behind its neighbours that begin lower, in `before`; return notes on what is left."""
     ground = min(float(solid.low[2]) for solid in solids)
     touching: dict[int, set[int]] = {number: set() for number in before}
-    for i, j in _near(solids):
+    for i, j in near:
         touching[i].add(j)
         touching[j].add(i)
     loose = []
@@ -179,33 +174,30 @@ def _waits_for(element: int, other: int, before: dict[int, set[int]]) -> bool:
     return False
 
 
-def _built(solids: list[_Solid], before: dict[int, set[int]], notes: list[str]) -> list[int]:
-    """Return an order. In a circle of elements that rest on each other the lowest comes first: noted, and taken from `before`."""
-    waiting = {number: set(firsts) for number, firsts in before.items()}
-    after: dict[int, set[int]] = {number: set() for number in before}
-    for number, firsts in before.items():
-        for first in firsts:
-            after[first].add(number)
-    keys = {number: (*solid.key(), number) for number, solid in enumerate(solids)}
-    heap = [keys[number] for number, firsts in waiting.items() if not firsts]
-    heapq.heapify(heap)
-    order: list[int] = []
-    done: set[int] = set()
-    while len(order) < len(solids):
-        if not heap:
-            number = min((n for n in waiting if n not in done), key=lambda n: keys[n])
-            others = first_few(solids[first].element.id for first in sorted(waiting[number]))
-            circle = f"{solids[number].element.id} rests on {others} and these, in a circle, on it"
-            notes.append(f"{circle}: it comes first, being lowest.")
-            before[number] -= waiting[number]
-            waiting[number] = set()
-            heapq.heappush(heap, keys[number])
-        number = heapq.heappop(heap)[2]
-        order.append(number)
-        done.add(number)
-        for other in after[number]:
-            if number in waiting[other]:
-                waiting[other].discard(number)
-                if not waiting[other]:
-                    heapq.heappush(heap, keys[other])
+def _break_circles(solids: list[_Solid], before: dict[int, set[int]]) -> Iterator[str]:
+    """Let the lowest of elements that rest on each other in a circle come first, in `before`; yield notes."""
+    while True:
+        try:
+            TopologicalSorter(before).prepare()
+            return
+        except CycleError as error:
+            lowest = min(error.args[1], key=lambda number: (*solids[number].key(), number))
+            others = before[lowest] & {*error.args[1]}
+            before[lowest] -= others
+            named = first_few(solids[other].element.id for other in sorted(others))
+            circle = f"{solids[lowest].element.id} rests on {named} and these, in a circle, on it"
+            yield f"{circle}: it comes first, being lowest."
+
+
+def in_order(before: Mapping[T, Collection[T]], key: Callable[[T], Any]) -> list[T]:
+    """Return things so that each comes after those before it, otherwise by a key."""
+    sorter = TopologicalSorter(before)
+    sorter.prepare()
+    heap: list[tuple[Any, T]] = []
+    order = []
+    while sorter.is_active():
+        for one in sorter.get_ready():
+            heapq.heappush(heap, (key(one), one))
+        order.append(heapq.heappop(heap)[1])
+        sorter.done(order[-1])
     return order

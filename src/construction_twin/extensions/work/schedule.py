@@ -15,24 +15,21 @@ element stands until one of them says that it is gone; what comes after it waits
 
 from __future__ import annotations
 
-import heapq
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from datetime import datetime
+from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
-from types import MappingProxyType
 
 from construction_twin.extensions.work.building import BuildingModel, Element, Sequence, Task
 from construction_twin.extensions.work.errors import ScheduleError
 from construction_twin.extensions.work.names import first_few
-from construction_twin.extensions.work.process import process_of
-from construction_twin.extensions.work.proposed_schedule import propose
-from construction_twin.extensions.work.recipe import DEFAULT, RECIPE
+from construction_twin.extensions.work.process import DEFAULT, RECIPE, process_of
+from construction_twin.extensions.work.proposed_schedule import in_order, propose
 from construction_twin.extensions.work.wholes import parts_of, workpieces
 
-_KINDS = {"FINISH_START": True, "FINISH_FINISH": True, "START_START": False, "START_FINISH": False}
 #: Takes an element and a task; returns the process by which the task works on it.
 ProcessOf = Callable[[Element, Task], str]
 
@@ -77,6 +74,7 @@ class Job:
         return process_of(self.process).moves
 
 
+@dataclass(eq=False)
 class Schedule:
     """A checked graph of jobs, made by `Schedule.of`.
 
@@ -87,21 +85,22 @@ class Schedule:
         proposed: It is not the planner's but a proposal from the geometry, which a person must accept; or a part of it is.
         removals: Elements that people take down; what each waits for is in `after`.
         remarks: Notes by the id of the job or removal that they are about.
-        placing: Id of the job that places each element, of those that one does.
     """
 
-    def __init__(
-        self,
-        jobs: tuple[Job, ...],
-        notes: tuple[str, ...],
-        proposed: bool = False,
-        removals: tuple[Job, ...] = (),
-        remarks: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
-    ):
-        self.jobs, self.notes, self.proposed = jobs, notes, proposed
-        self.removals, self.remarks = removals, dict(remarks)
-        self._by_id = {job.id: job for job in (*jobs, *removals)}
-        self.placing = {job.element: job.id for job in jobs if job.moves}
+    jobs: tuple[Job, ...]
+    notes: tuple[str, ...]
+    proposed: bool = False
+    removals: tuple[Job, ...] = ()
+    remarks: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @cached_property
+    def placing(self) -> dict[str, str]:
+        """Id of the job that places each element, of those that one does."""
+        return {job.element: job.id for job in self.jobs if job.moves}
+
+    @cached_property
+    def _by_id(self) -> dict[str, Job]:
+        return {job.id: job for job in (*self.jobs, *self.removals)}
 
     @classmethod
     def of(
@@ -110,16 +109,22 @@ class Schedule:
         """Return the schedule of a model."""
         reading = _Reading(model, process)
         everything = reading.jobs()
-        reading.note_unmade(everything)
         moments, note = _moments(everything, model)
         reading.notes += [note] if note and not proposed else []
-        ordered = _in_order(everything, moments)
         said = model.remarks
         remarks = {job.id: (*said.get(job.task, ()), *said.get(job.element, ())) for job in everything}
-        removals = tuple(job for job in ordered if job.id in reading.removals)
-        jobs = tuple(job for job in ordered if job not in removals)
-        remarks = {name: each for name, each in remarks.items() if each}
-        return cls(jobs, tuple(reading.notes), proposed or reading.guessed, removals, remarks)
+        jobs: list[Job] = []
+        removals: list[Job] = []
+        # what is to be taken down without a task has no date and comes first
+        places = {job.id: (moments.get(job.id, -math.inf), number) for number, job in enumerate(everything)}
+        by_id = {job.id: job for job in everything}
+        before = {job.id: [wait.job for wait in job.after] for job in everything}
+        for name in in_order(before, lambda one: places[one]):
+            (removals if name in reading.removals else jobs).append(by_id[name])
+        return cls(
+            tuple(jobs), tuple(reading.notes), proposed or reading.guessed, tuple(removals),
+            {name: each for name, each in remarks.items() if each},
+        )  # fmt: skip
 
     def job(self, identifier: str) -> Job:
         """Return the job of that id."""
@@ -153,54 +158,66 @@ _Waits = dict[tuple[str, bool], float]
 
 
 class _Reading:
-    """Tasks and sequences of one model, checked."""
+    """Tasks and sequences of one model, checked.
+
+    Attributes:
+        removals: Ids of what `jobs` returns for people to take down.
+        guessed: A part of the order is proposed from the geometry.
+    """
 
     def __init__(self, model: BuildingModel, process: ProcessOf):
-        self._model, self._tasks, self._process_of = model, model.tasks, process
-        self.notes: list[str] = []
-        self.removals: set[str] = set()
-        self.guessed = False
-        self._standing: set[str] = set()
         if not model.tasks:
             raise ScheduleError(
                 f"{model.file}: it has no tasks; have an order proposed from the geometry and accept it"
             )
+        self._model, self._tasks, self._elements, self._process_of = model, model.tasks, model.elements, process
+        self.notes: list[str] = []
+        self.removals: set[str] = set()
+        self.guessed = False
+        self._standing: set[str] = set()
         self._children: dict[str, list[str]] = {identifier: [] for identifier in model.tasks}
-        self._check_nesting()
+        for identifier, task in model.tasks.items():
+            if task.parent:
+                self._children[task.parent].append(identifier)
+        try:
+            TopologicalSorter(self._children).prepare()
+        except CycleError as error:
+            circle = ", ".join(dict.fromkeys(reversed(error.args[1])))
+            raise ScheduleError(f"tasks nest in each other in a circle: {circle}") from error
         self._sequences = self._checked_sequences()
         self._products = self._checked_products()
 
     def jobs(self) -> tuple[Job, ...]:
-        """Return jobs and removals in the file's order; the ids of the latter are in `removals`."""
+        """Return jobs and removals in the file's order."""
         waits = self._all_waits()
         jobs: list[Job] = []
         for identifier, products in self._products.items():
-            task, after = self._tasks[identifier], waits[identifier]
-            down = self._takes_down(identifier)
+            task, after, down = self._tasks[identifier], waits[identifier], self._takes_down(identifier)
+            robots = next(filter(None, (self._tasks[at].robots for at in self._above(identifier))), ())
             for number, product in enumerate(products, 1):
                 own = self._job_id(identifier, number)
-                before = {(self._job_id(identifier, number - 1), True): 0.0} if number > 1 else after
-                found = tuple(Wait(job, finished, lag) for (job, finished), lag in before.items())
-                named = (self._tasks[at].robots for at in self._above(identifier))
-                robots = () if down else next(filter(None, named), ())
-                process = DEFAULT if down else self._process(identifier, product)
-                jobs.append(Job(own, identifier, task.name, product, robots, found, process))
-                if down:
-                    self.removals.add(own)
+                found = tuple(Wait(job, finished, lag) for (job, finished), lag in after.items())
+                process = DEFAULT if down else self._process_of(self._elements[product], task)
+                jobs.append(Job(own, identifier, task.name, product, () if down else robots, found, process))
+                after = {(own, True): 0.0}
+                self.removals |= {own} if down else set()
         jobs = self._told_apart(jobs)
         taken_down = {job.element for job in jobs if job.id in self.removals}
-        for element in self._model.elements.values():
+        for element in self._elements.values():
             if element.status == "demolish" and element.bodies and element.id not in taken_down:
                 own = f"{element.id}/removal"
                 self.removals.add(own)
-                name = f"Take down {element.name or element.id}"
-                jobs.append(Job(own, own, name, element.id, (), ()))
+                jobs.append(Job(own, own, f"Take down {element.name or element.id}", element.id, (), ()))
         for job in jobs:
             if job.id in self.removals:
                 said = (
                     f"{job.element} is to be taken down ({job.name}): an obstacle until a person says that it is gone"
                 )
                 self.notes.append(f"{said} (`twin work removed {job.id}`).")
+        made = {job.element for job in jobs} | self._standing
+        if left := [one for one in workpieces(self._model) if one not in made]:
+            said = f"No task makes {len(left)} of the elements: {first_few(left)}"
+            self.notes.append(f"{said}; the arm leaves them alone.")
         return tuple(jobs)
 
     def _told_apart(self, jobs: list[Job]) -> list[Job]:
@@ -208,39 +225,22 @@ class _Reading:
         shared = Counter(job.name for job in jobs)
         found = []
         for job in jobs:
-            element = self._model.elements[job.element].name
+            element = self._elements[job.element].name
             more = shared[job.name] > 1 and job.name and element and element not in job.name
             found.append(replace(job, name=f"{job.name}: {element}") if more else job)
         return found
 
-    def note_unmade(self, jobs: tuple[Job, ...]) -> None:
-        """Note the workpieces that neither a job makes nor stand."""
-        made = {job.element for job in jobs} | self._standing
-        left = tuple(identifier for identifier in workpieces(self._model) if identifier not in made)
-        if left:
-            said = f"No task makes {len(left)} of the elements: {self._called(left)}"
-            self.notes.append(f"{said}; the arm leaves them alone.")
-
-    def _called(self, ids: Iterable[str]) -> str:
-        """Return elements or tasks by name and id, the first few."""
-        names = {one: element.name for one, element in self._model.elements.items()}
-        names |= {one: task.name for one, task in self._tasks.items()}
-        return first_few(f"{names[one]} ({one})" if names[one] not in ("", one) else one for one in ids)
-
     def _takes_down(self, identifier: str) -> bool:
         """Return whether a task removes what is assigned to it: by its kind, or because all of that is to be removed."""
         task = self._tasks[identifier]
-        known = [self._model.elements[one] for one in task.products if one in self._model.elements]
+        known = [self._elements[one] for one in task.products if one in self._elements]
         demolish = bool(known) and all(element.status == "demolish" for element in known)
         works = task.properties.get(RECIPE) is not None
         return task.kind == "takes_down" or (task.kind == "makes" and demolish and not works)
 
-    def _process(self, identifier: str, element: str) -> str:
-        return self._process_of(self._model.elements[element], self._tasks[identifier])
-
     def _moves(self, identifier: str, element: str) -> bool:
         """Return whether a task places an element, in place of working on it where it stands."""
-        return process_of(self._process(identifier, element)).moves
+        return process_of(self._process_of(self._elements[element], self._tasks[identifier])).moves
 
     def _is_completed(self, identifier: str) -> bool:
         return any(self._tasks[at].completed for at in self._above(identifier))
@@ -248,51 +248,31 @@ class _Reading:
     def _job_id(self, task: str, number: int) -> str:
         return task if len(self._products[task]) == 1 else f"{task}/{number}"
 
-    def _check_nesting(self) -> None:
-        for identifier, task in self._tasks.items():
-            if not task.parent:
-                continue
-            if task.parent not in self._tasks:
-                raise ScheduleError(f"task {identifier} ({task.name!r}) nests in {task.parent}, which is no task")
-            self._children[task.parent].append(identifier)
-        try:
-            TopologicalSorter({one: [task.parent] for one, task in self._tasks.items() if task.parent}).prepare()
-        except CycleError as error:
-            raise ScheduleError(
-                f"tasks nest in each other in a circle: {', '.join(dict.fromkeys(error.args[1]))}"
-            ) from error
-
-    def _above(self, identifier: str) -> tuple[str, ...]:
-        """Return the task and those that it nests in, from inside."""
-        found = []
+    def _above(self, identifier: str) -> Iterator[str]:
+        """Yield the task and those that it nests in, from inside."""
         while identifier:
-            found.append(identifier)
+            yield identifier
             identifier = self._tasks[identifier].parent
-        return tuple(found)
+
+    def _with_parts(self, ids: Iterable[str]) -> dict[str, None]:
+        """Return elements, each before its parts."""
+        return dict.fromkeys(part for one in ids for part in (one, *parts_of(self._elements, one)))
 
     def _checked_sequences(self) -> dict[str, list[Sequence]]:
         """Return the sequences by the task that waits."""
         into: dict[str, list[Sequence]] = {identifier: [] for identifier in self._tasks}
         for sequence in self._model.sequences:
             ids = (sequence.before, sequence.after)
-            missing = [identifier for identifier in ids if identifier not in self._tasks]
-            if missing:
-                raise ScheduleError(f"a sequence from {ids[0]} to {ids[1]} names {missing[0]}, which is no task")
-            called = f"the sequence from {ids[0]} to {ids[1]}"
-            if sequence.kind not in _KINDS:
-                raise ScheduleError(f"{called} is of kind {sequence.kind!r}; expected {', '.join(_KINDS)}")
+            called = f"he sequence from {ids[0]} to {ids[1]}"
             if sequence.before in self._above(sequence.after) or sequence.after in self._above(sequence.before):
                 if sequence.kind not in ("START_START", "FINISH_FINISH") or ids[0] == ids[1]:
                     why = "they are the same, or one nests in the other"
-                    raise ScheduleError(f"{called} makes a task wait for itself: {why}")
-                self.notes.append(f"{called[0].upper()}{called[1:]} is left out: one of them nests in the other.")
+                    raise ScheduleError(f"t{called} makes a task wait for itself: {why}")
+                self.notes.append(f"T{called} is left out: one of them nests in the other.")
                 continue
-            if not math.isfinite(sequence.lag):
-                raise ScheduleError(f"{called} has a lag of {sequence.lag:g} s")
             if sequence.lag < 0.0:
-                self.notes.append(
-                    f"The lead from {ids[0]} to {ids[1]} is not used: the arm waits as if its lag were 0."
-                )
+                said = f"The lead from {ids[0]} to {ids[1]} is not used"
+                self.notes.append(f"{said}: the arm waits as if its lag were 0.")
             into[sequence.after].append(sequence)
         return into
 
@@ -301,30 +281,29 @@ class _Reading:
         found: dict[str, tuple[str, ...]] = {}
         maker: dict[str, str] = {}
         works: list[tuple[str, str]] = []
-        empty: list[str] = []
+        idle: list[str] = []
         for identifier, task in self._tasks.items():
-            nested = self._children[identifier]
             given = (*task.products, *(task.inputs if task.kind == "takes_down" else ()))
-            known = tuple(dict.fromkeys(one for one in given if one in self._model.elements))
-            unknown = tuple(one for one in task.products if one not in self._model.elements)
-            if nested:
+            known = tuple(dict.fromkeys(one for one in given if one in self._elements))
+            if self._children[identifier]:
                 if known:
                     said = f"What task {identifier} makes is taken from the tasks that nest in it"
-                    self.notes.append(f"{said}: {self._called(known)}.")
+                    self.notes.append(f"{said}: {first_few(known)}.")
                 continue
-            if unknown:
+            if unknown := [one for one in task.products if one not in self._elements]:
                 said = f"Task {identifier} makes {first_few(unknown)}, which the arm cannot place"
                 self.notes.append(f"{said}: no such element was read.")
             known = self._to_do(identifier, known)
             if not known:
-                empty.append(identifier)
+                if not task.milestone and task.kind == "makes" and not self._is_completed(identifier):
+                    idle.append(identifier)
                 continue
             for element in () if self._takes_down(identifier) else known:
                 if not self._moves(identifier, element):
                     works.append((identifier, element))
                     continue
                 if element in maker:
-                    twice = f"element {element} ({self._model.elements[element].name!r}) is made twice"
+                    twice = f"element {element} ({self._elements[element].name!r}) is made twice"
                     raise ScheduleError(f"{twice}, by tasks {maker[element]} and {identifier}; it can be placed once")
                 maker[element] = identifier
             found[identifier] = known
@@ -332,48 +311,38 @@ class _Reading:
             # it stands before anybody works on it, whether or not the file says so
             if element in maker:
                 self._sequences[identifier].append(Sequence(maker[element], identifier))
-        self._leave_temporary(found, maker)
-        makes = [one for one in empty if not self._tasks[one].milestone and self._tasks[one].kind == "makes"]
-        idle = [one for one in makes if not self._is_completed(one)]
         if idle:
-            said = f"{len(idle)} {'tasks' if len(idle) > 1 else 'task'} without element: {self._called(idle)}"
+            said = f"{len(idle)} {'tasks' if len(idle) > 1 else 'task'} without element: {first_few(idle)}"
             self.notes.append(f"{said}; kept for the order, no time is waited for.")
-        return found
+        return self._without_temporary(found, maker)
 
     def _to_do(self, identifier: str, known: tuple[str, ...]) -> tuple[str, ...]:
         """Return what is left for a task to place or to take down: what stands is not placed again."""
-        task, elements = self._tasks[identifier], self._model.elements
+        elements = self._elements
         if self._takes_down(identifier):
             # what the file calls completed still stands here until a person says that it does not
-            every = dict.fromkeys(part for one in known for part in (one, *parts_of(self._model.elements, one)))
-            return tuple(one for one in every if elements[one].bodies)
-        if task.kind != "makes":
+            return tuple(one for one in self._with_parts(known) if elements[one].bodies)
+        if self._tasks[identifier].kind != "makes":
             return ()
         if self._is_completed(identifier):
-            self._standing |= {*known, *(part for one in known for part in parts_of(self._model.elements, one))}
+            self._standing |= self._with_parts(known).keys()
             return ()
-        works = tuple(one for one in known if elements[one].bodies and not self._moves(identifier, one))
-        there = tuple(one for one in known if elements[one].status and one not in works)
+        works = [one for one in known if elements[one].bodies and not self._moves(identifier, one)]
+        there = [one for one in known if elements[one].status and one not in works]
         if there:
             self._standing |= set(there)
-            said = f"Task {identifier} makes {self._called(there)}, which the model has as existing or to be taken down"
+            said = f"Task {identifier} makes {first_few(there)}, which the model has as existing or to be taken down"
             self.notes.append(f"{said}: not placed.")
         found: list[str] = []
         for one in known:
-            if one in works:
-                found.append(one)
-            elif one not in there:
-                found += self._of_assembly(identifier, one)
+            if one not in there:
+                whole = one in works or elements[one].bodies or not parts_of(elements, one)
+                found += [one] if whole else self._of_assembly(identifier, one)
         return tuple(dict.fromkeys(found))
 
-    def _of_assembly(self, identifier: str, element: str) -> tuple[str, ...]:
-        """Return an element; of what has no body but parts or members: its workpieces that no other task makes, as proposed."""
-        model = self._model
-        if model.elements[element].bodies:
-            return (element,)
-        parts = set(parts_of(self._model.elements, element))
-        if not parts:
-            return (element,)
+    def _of_assembly(self, identifier: str, element: str) -> list[str]:
+        """Return the workpieces of what has no body but parts or members that no other task makes, as proposed."""
+        model, parts = self._model, set(parts_of(self._elements, element))
         # also the parts of an assembly within this one that has a task of its own, done or not
         elsewhere: set[str] = set()
         earlier = True
@@ -382,39 +351,38 @@ class _Reading:
             for one in task.products if name != identifier and task.kind == "makes" else ():
                 if one not in model.elements or not self._moves(name, one):
                     continue
-                theirs = set(parts_of(self._model.elements, one))
+                theirs = set(parts_of(self._elements, one))
                 # of groups with something in common the smaller one has it, else the first
                 if one in parts or (theirs & parts and (theirs < parts or (earlier and not theirs > parts))):
                     elsewhere |= {one, *theirs}
         wanted = [one for one in workpieces(model) if one in parts - elsewhere]
-        task = self._tasks[identifier]
-        if wanted:
-            alone = replace(model, elements={one: model.elements[one] for one in wanted}, tasks={}, sequences=())
-            proposal = propose(alone)
-            wanted = [one for part in proposal.tasks.values() for one in part.products]
-            self.guessed = self.guessed or len(wanted) > 1
         said = "nothing that is in it is left for this task"
         if wanted:
+            alone = replace(model, elements={one: model.elements[one] for one in wanted}, tasks={}, sequences=())
+            wanted = [one for part in propose(alone).tasks.values() for one in part.products]
+            self.guessed = self.guessed or len(wanted) > 1
             order = "one after the other, in an order from the geometry that a person must accept"
-            said = f"what is in it is placed {order}: {self._called(wanted)}"
+            said = f"what is in it is placed {order}: {first_few(wanted)}"
         assembly = f"Task {identifier} makes {model.elements[element].name or element}, which has no body of its own"
         self.notes.append(f"{assembly}: {said}.")
-        return tuple(wanted)
+        return wanted
 
-    def _leave_temporary(self, found: dict[str, tuple[str, ...]], maker: Mapping[str, str]) -> None:
-        """Leave out of removals what a task of the same schedule places first: it does not stand yet."""
+    def _without_temporary(
+        self, found: dict[str, tuple[str, ...]], maker: Mapping[str, str]
+    ) -> dict[str, tuple[str, ...]]:
+        """Return what tasks make and take down, without removals of what another one places first: it does not stand yet."""
         removed: set[str] = set()
-        for identifier in [one for one in found if self._takes_down(one)]:
-            placed = [element for element in found[identifier] if element in maker]
-            if placed:
-                said = f"Task {identifier} takes down {self._called(placed)}, which another task places: not read"
+        left = {}
+        for identifier, elements in found.items():
+            left[identifier] = elements
+            if not self._takes_down(identifier):
+                continue
+            if placed := [element for element in elements if element in maker]:
+                said = f"Task {identifier} takes down {first_few(placed)}, which another task places: not read"
                 self.notes.append(f"{said}, it stays; what comes after does not wait for it to be gone.")
-            left = tuple(element for element in found[identifier] if element not in {*placed, *removed})
-            removed |= set(found[identifier])
-            if left:
-                found[identifier] = left
-            else:
-                del found[identifier]
+            left[identifier] = tuple(element for element in elements if element not in {*placed, *removed})
+            removed |= set(elements)
+        return {identifier: elements for identifier, elements in left.items() if elements}
 
     def _all_waits(self) -> dict[str, _Waits]:
         """Return what the start of each task waits for, in terms of jobs.
@@ -426,63 +394,39 @@ class _Reading:
         for identifier, task in self._tasks.items():
             start = [(sequence.before, 1) for sequence in self._sequences[identifier]]
             before[identifier, 0] = start + ([(task.parent, 0)] if task.parent else [])
-            nested = self._children[identifier]
-            before[identifier, 1] = [(child, 1) for child in nested] or [(identifier, 0)]
-        started: dict[str, _Waits] = {}
-        finished: dict[str, _Waits] = {}
-        gates: dict[str, _Waits] = {}
+            before[identifier, 1] = [(child, 1) for child in self._children[identifier]] or [(identifier, 0)]
         try:
             order = list(TopologicalSorter(before).static_order())
         except CycleError as error:
             circle = dict.fromkeys(identifier for identifier, _ in error.args[1])
             names = ", ".join(f"{identifier} ({self._tasks[identifier].name!r})" for identifier in circle)
             raise ScheduleError(f"tasks wait for each other in a circle: {names}") from error
+        started: dict[str, _Waits] = {}
+        finished: dict[str, _Waits] = {}
+        gates: dict[str, _Waits] = {"": {}}
         for identifier, node in order:
             if node == 0:
-                parent = self._tasks[identifier].parent
-                own = self._sequences[identifier]
-                gate = gates[parent] if parent else {}
-                for sequence in own:
-                    source = finished if _KINDS[sequence.kind] else started
-                    gate = _merged(gate, source[sequence.before], max(sequence.lag, 0.0))
-                gates[identifier] = gate
+                gates[identifier] = dict(gates[self._tasks[identifier].parent])
+                for sequence in self._sequences[identifier]:
+                    source = started if sequence.kind.startswith("START") else finished
+                    _merge(gates[identifier], source[sequence.before], max(sequence.lag, 0.0))
             elif identifier in self._products:
                 last = self._job_id(identifier, len(self._products[identifier]))
                 started[identifier], finished[identifier] = {(last, False): 0.0}, {(last, True): 0.0}
             elif self._children[identifier]:
                 started[identifier], finished[identifier] = {}, {}
                 for child in self._children[identifier]:
-                    started[identifier] = _merged(started[identifier], started[child], 0.0)
-                    finished[identifier] = _merged(finished[identifier], finished[child], 0.0)
+                    _merge(started[identifier], started[child])
+                    _merge(finished[identifier], finished[child])
             else:
                 started[identifier] = finished[identifier] = gates[identifier]
         return gates
 
 
-def _merged(first: _Waits, second: _Waits, lag: float) -> _Waits:
-    """Return what both wait for, the second `lag` longer; the longest lag of each wins."""
-    merged = dict(first)
-    for wait, own in second.items():
-        merged[wait] = max(own + lag, merged.get(wait, 0.0))
-    return merged
-
-
-def _in_order(jobs: tuple[Job, ...], moments: Mapping[str, float]) -> tuple[Job, ...]:
-    """Return jobs so that each comes after what it waits for, otherwise by their moments or as they are."""
-    # what is to be taken down without a task has no date and comes first
-    places = {job.id: (moments.get(job.id, -math.inf), number) for number, job in enumerate(jobs)}
-    by_id = {job.id: job for job in jobs}
-    sorter = TopologicalSorter({job.id: {wait.job for wait in job.after} for job in jobs})
-    sorter.prepare()
-    heap: list[tuple[tuple[float, int], str]] = []
-    order = []
-    while sorter.is_active():
-        for job in sorter.get_ready():
-            heapq.heappush(heap, (places[job], job))
-        first = heapq.heappop(heap)[1]
-        order.append(by_id[first])
-        sorter.done(first)
-    return tuple(order)
+def _merge(waits: _Waits, more: _Waits, lag: float = 0.0) -> None:
+    """Add what waits `lag` longer; the longest lag of each wins."""
+    for wait, own in more.items():
+        waits[wait] = max(own + lag, waits.get(wait, 0.0))
 
 
 def _moments(jobs: tuple[Job, ...], model: BuildingModel) -> tuple[dict[str, float], str]:

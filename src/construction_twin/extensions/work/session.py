@@ -1,7 +1,6 @@
-"""A building model that is worked on: has its tasks planned, answers people, and does what follows from what was heard.
+"""The work on one model, among its neighbours: planning, answers of people, and the scene that follows the ledger.
 
-The ledger comes first: the scene changes only after what is known of the task is on the disk, and without the changed scene the
-executor does not go on. Killed at any instant, the work comes back with what is true, or asks.
+The ledger comes first: the scene changes after its line is on the disk, and the executor waits for the scene.
 """
 
 from __future__ import annotations
@@ -23,8 +22,7 @@ from construction_twin.extensions.work.following import Follower
 from construction_twin.extensions.work.heard import Heard
 from construction_twin.extensions.work.ledger import Ledger
 from construction_twin.extensions.work.prepared import Prepared
-from construction_twin.extensions.work.process import TaskMotions
-from construction_twin.extensions.work.recipe import DEFAULT
+from construction_twin.extensions.work.process import DEFAULT, TaskMotions
 from construction_twin.extensions.work.task_board import TaskBoard, WorkRefused
 from construction_twin.extensions.work.task_memory import UNDER_WAY, Entry, TaskState
 from construction_twin.kinematics.chain import Chain, Pose
@@ -32,7 +30,7 @@ from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import RobotModel
 from construction_twin.scene.scene_change import SceneChange
 
-#: How long what was changed or planned may take to be heard [s].
+#: Longest time until a change or a plan is heard [s].
 SCENE_TIME = 2.0
 
 
@@ -42,7 +40,7 @@ class NoAnswer(WorkError):
 
 @dataclass(frozen=True)
 class UnderReview:
-    """A plan that waits for a person's verdict, and the sentence that says so."""
+    """A plan that waits for a verdict."""
 
     message: str
     task: str
@@ -53,16 +51,14 @@ class UnderReview:
 
 @dataclass(frozen=True)
 class Neighbours:
-    """Whom the work calls; those that can fail raise a ConstructionTwinError, `NoAnswer` where it may have been done.
+    """Whom the work calls; they raise a ConstructionTwinError, `NoAnswer` where the call may have had its effect.
 
     Attributes:
-        twin_pose, arm_pose: Present joint positions [rad], [m].
-        plan: Plans a task, see `worker_functions.plan`.
-        plan_work: Takes task, source and segments; has a plan checked and put under review.
-        plan_way_back: Does the same for the way back of an engaged arm; returns a sentence.
-        edit_scene: Takes the hash of the scene, a change, and the hash expected of the result, empty: any; returns that hash.
-        refuse: Counts what could not be used; takes reason and sentence.
-        log: Takes a sentence.
+        twin_pose, arm_pose: Joint positions [rad], [m].
+        plan: See `worker_functions.plan`.
+        plan_work: Takes task, source and segments.
+        edit_scene: Takes the hash before, a change, and the expected hash or ""; returns the hash after.
+        refuse: Takes reason and sentence.
     """
 
     twin_pose: Callable[[], tuple[float, ...]]
@@ -76,50 +72,40 @@ class Neighbours:
 
 
 class WorkSession:
-    """The work on one model, for several threads.
+    """The work on a loaded model, for several threads; its ledger is called after robot and cell file.
 
-    `lock`: Guards board and ledger; never held while somebody else is waited for who may wait for it.
+    `clock`: Returns the time since 1970 [ns]. `lock`: Guards board and ledger; free while another node is waited for.
     """
 
-    def __init__(self, board: TaskBoard, heard: Heard, chain: Chain, calls: Neighbours, clock: Callable[[], int]):
-        self.board, self._heard, self._calls, self._clock = board, heard, calls, clock
-        self._follower = Follower(board, heard, chain, calls.arm_pose, calls.refuse, calls.log)
-        self.lock = threading.RLock()
-        self._planning = threading.Lock()
-        #: Why the scene of an engaged arm cannot be made right, and of what that was said; empty: it can, or no arm is engaged.
-        self._blocked = ""
-        self._blocked_in: tuple | None = None
-
-    @classmethod
-    def open(
-        cls,
+    def __init__(
+        self,
         prepared: Prepared,
         folder: Path,
         robot: RobotModel,
         heard: Heard,
         calls: Neighbours,
         clock: Callable[[], int],
-    ) -> WorkSession:
-        """Return the work on a model that was read, with its ledger: one for each robot and site, whatever is built there.
-
-        Args:
-            folder: Of the ledgers; a site is known by the name of its cell file.
-            clock: Returns the time since 1970 [ns].
-        """
+    ):
         ledger = Ledger(
             folder / f"{robot.name}_{Path(prepared.cell).stem}.jsonl", prepared.after, prepared.digest, clock,
             str(Path(prepared.cell).resolve()), prepared.schedule.placing, prepared.standing_elements, robot.name,
             prepared.present,
         )  # fmt: skip
-        board = TaskBoard(prepared, ledger, robot.name, robot.tip_link)
-        decisions.look_around(board)
+        self.board = TaskBoard(prepared, ledger, robot.name, robot.tip_link)
+        self._heard, self._calls, self._clock = heard, calls, clock
+        decisions.look_around(self.board)
         opened = f"{prepared.model}: {len(prepared.schedule.jobs)} tasks, {ledger.lines} lines in {ledger.path}"
-        for said in (opened, *board.notes):
+        for said in (opened, *self.board.notes):
             calls.log(said)
-        return cls(board, heard, Chain(robot), calls, clock)
+        self._follower = Follower(self.board, heard, Chain(robot), calls.arm_pose, calls.refuse, calls.log)
+        self.lock = threading.RLock()
+        self._planning = threading.Lock()
+        #: Why an engaged arm has no scene to go back in, and what that was found of.
+        self._blocked = ""
+        self._blocked_in: tuple | None = None
 
     def recall(self, listen_time: float) -> None:
-        """Find out what became of a plan that the ledger has as offered or under way; waits so long for the others [s]."""
+        """Find out what became of a plan that is offered or under way in the ledger; listens so long [s]."""
         heard = self._heard
         # nothing is tidied before it is known whether the arm was left engaged
         heard.wait_for(lambda: heard.execution is not None and not heard.unsaid, min(1.0, listen_time))
@@ -133,7 +119,7 @@ class WorkSession:
             self._follower.settle()
 
     def catch_up(self) -> None:
-        """Do what follows from what was heard. For one thread only."""
+        """Act on what was heard. For one thread."""
         # one report for both: the scene may change only after what was written of it
         heard, report = self._heard, self._heard.execution
         with self.lock:
@@ -155,7 +141,7 @@ class WorkSession:
     # -- the scene; without the lock: the scene node is waited for
 
     def _change_as_planned(self, report: ExecutionReport | None) -> None:
-        """Change the scene as planned, when a report, which has been followed, says that the executor waits for it."""
+        """Change the scene as planned when the executor waits for it; its report has been followed."""
         known, scene, book = self._heard.plan, self._heard.scene, self.board.book
         if report is None or known is None or scene is None:
             return
@@ -167,7 +153,6 @@ class WorkSession:
             self._edit(segment.scene, known.changes[report.segment], segment.scene_after)
 
     def _tidy(self) -> None:
-        """Make the scene what the ledger says: tool, stock, placed elements."""
         scene = self._heard.scene
         if scene is None:
             return
@@ -177,10 +162,7 @@ class WorkSession:
             self._edit(scene.hash, wrong)
 
     def _make_for_way_back(self) -> str:
-        """Make the scene one in which an engaged arm can go back; return why not, empty when it is.
-
-        What the ledger has to say of the stop is on the disk before.
-        """
+        """Make the scene one in which an engaged arm can go back, after the ledger's line; return why not."""
         heard, left, board = self._heard, self._heard.left, self.board
         if left is None:
             return Sentence(
@@ -208,16 +190,16 @@ class WorkSession:
             element = board.element_of(left.task) if memory is not None else ""
             forms = board.built.forms(left.task) if memory is not None else ()
             found = engaged_scene.due(left, scene, segments, changes, heard.scenes(), element, forms)
-        if found.change is None:
-            self._blocked, self._blocked_in = found.sentence, about
-            self._calls.refuse("engagement", found.sentence)
-            return found.sentence
+        if isinstance(found, str):
+            self._blocked, self._blocked_in = found, about
+            self._calls.refuse("engagement", found)
+            return found
         # tried again as long as the scene node refuses
-        self._blocked, self._blocked_in = self._edit(scene.hash, found.change, found.after), None
+        self._blocked, self._blocked_in = self._edit(scene.hash, found, found.apply(scene).hash), None
         return self._blocked
 
     def _edit(self, before: str, wanted: SceneChange, after: str = "") -> str:
-        """Have the scene changed; return why not, empty when it was and the change has arrived here."""
+        """Have the scene changed and wait until it is heard; return why not."""
         heard = self._heard
         try:
             made = self._calls.edit_scene(before, wanted, after)
@@ -234,8 +216,8 @@ class WorkSession:
         """Have a task planned, or while the arm is engaged the way back.
 
         Args:
-            asked: Empty: the one that comes next.
-            patience: Longest time that another planning is waited for [s].
+            asked: Empty: the next one.
+            patience: Longest wait for another planning [s].
         """
         if not self._planning.acquire(timeout=patience):
             raise WorkRefused("a task is being planned already; wait for it")
@@ -287,7 +269,7 @@ class WorkSession:
         return self._offer(task, plan)
 
     def _offer(self, task: str, plan: TaskMotions) -> UnderReview:
-        """Have the planner check a plan and put it under review; the ledger knows of it before."""
+        """Put a plan under review; the ledger has it before the planner."""
         board, offer = self.board, uuid.uuid4().hex[:12]
         title, process = board.title(task), board.prepared.schedule.job(task).process
         held = () if plan.tool0_T_element is None else pose_tuple(plan.tool0_T_element)
@@ -296,22 +278,23 @@ class WorkSession:
             self._allowed(task)
             board.add(Entry("offered", task, offer=offer, grip=plan.method, pose=held, process=named))
         how = f"{named}, {plan.method}" if named else plan.method
-        answer, problem = None, None
+
+        def unnamed() -> bool:
+            memory = board.book.tasks[task]
+            return memory.state is TaskState.PLANNED and not memory.plan
+
         try:
             answer = self._calls.plan_work(task, f"{title} by {how}, offer {offer}", plan.segments)
         except ConstructionTwinError as error:
-            problem = error
-        with self.lock:
-            memory = board.book.tasks[task]
-            unnamed = memory.state is TaskState.PLANNED and not memory.plan
-            if answer is None:
-                if not isinstance(problem, NoAnswer):
-                    board.add(Entry("dropped", task, offer=offer, reason=str(problem)))
-                elif unnamed:
+            with self.lock:
+                if not isinstance(error, NoAnswer):
+                    board.add(Entry("dropped", task, offer=offer, reason=str(error)))
+                elif unnamed():
                     self._follower.settle_offer(task, offer)
-                board.failures[task] = str(problem)
-                raise WorkRefused(str(problem)) from problem
-            if unnamed:
+                board.failures[task] = str(error)
+            raise WorkRefused(str(error)) from error
+        with self.lock:
+            if unnamed():
                 board.add(Entry("planned", task, plan=answer.plan_id, offer=offer))
         sentence = f"{title}: plan {answer.plan_id} of {answer.duration:.1f} s with {plan.method} waits for approval"
         return replace(answer, message=sentence)
@@ -337,7 +320,7 @@ class WorkSession:
     # -- people
 
     def decide(self, decision: str, task: str, answer: str, person: str, reason: str, question: str) -> str:
-        """Take what a person decides of a task or the schedule; return a sentence."""
+        """Act on a decision of a person; return a sentence."""
         board = self.board
         with self.lock:
             match decision:
@@ -358,14 +341,14 @@ class WorkSession:
         return sentence
 
     def measured(self, element: str, pose: Pose, person: str, reason: str) -> Deviation:
-        """Take where a person has measured an element."""
+        """Record where a person has measured an element."""
         with self.lock:
             found = decisions.measured(self.board, element, pose, person, reason)
         self._heard.announce()
         return found
 
     def report(self) -> WorkReport:
-        """Return what is published of the work."""
+        """Return the state of the work."""
         with self.lock:
             report = self.board.report(self._clock())
         if self._heard.execution is None or not self._heard.execution.engaged:
@@ -373,7 +356,7 @@ class WorkSession:
         return replace(report, engaged=True, reason=_only_way_back(self._blocked))
 
     def appearances(self) -> tuple[Appearance, ...]:
-        """Return what each element looks like, see `AsBuilt.appearances`."""
+        """Return what each element looks like."""
         with self.lock:
             return self.board.built.appearances(self.board.next(self._clock()))
 

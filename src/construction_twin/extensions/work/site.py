@@ -1,8 +1,4 @@
-"""The cell of a work: tool, recipes, surroundings, where the model stands, and the racks with the stock.
-
-Read from a YAML file, see config/work/timber_panel.yaml. Metres; degrees only in the file's ``rpy_deg``. Frames: `base` is the
-robot's base_link, `model` the building model's own.
-"""
+"""The cell of a work: tool, recipes, scene, where the model stands, and the racks with the stock. Metres, degrees."""
 
 from __future__ import annotations
 
@@ -16,8 +12,7 @@ import pydantic
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.validation import configuration_error
 from construction_twin.extensions.work.building import BuildingModel, Element
-from construction_twin.extensions.work.recipe import PROPERTY_SET, Match, Strict
-from construction_twin.extensions.work.recipes import DELIVERED, Recipes, read_recipes
+from construction_twin.extensions.work.process import DELIVERED, PROPERTY_SET, Match, Recipes, Strict, read_recipes
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_rotation
 from construction_twin.robot.tool import Place as FilePose
@@ -36,15 +31,6 @@ _RackName = Annotated[str, pydantic.Field(pattern=r"^[a-z][a-z0-9_]*$", max_leng
 
 
 class _Rack(Strict):
-    """What every rack has.
-
-    Attributes:
-        holds: Which elements it holds; an element belongs to the first rack that fits.
-        frame: ``base`` or ``model``: what its poses are in.
-        order: ``schedule``: slots are filled in the order in which the elements are needed; ``file``: in the order of the model.
-        surface: Name of the scene's object that the elements lie on; empty: none.
-    """
-
     holds: Match = Match()
     frame: Literal["base", "model"] = "base"
     order: Literal["schedule", "file"] = "schedule"
@@ -52,15 +38,7 @@ class _Rack(Strict):
 
 
 class LyingRack(_Rack):
-    """Racks with slots of their own: a slot is where the middle of the underside of an element's box stands.
-
-    Attributes:
-        at: The first slot, and the directions of the rack.
-        lies: ``as_built``: the elements lie in the rack's frame as they do in the model's; ``own_axes``: their own axes along the
-            rack's.
-        rpy_deg: Turn of the element on top of that, about the rack's x, y and z axes [deg].
-        refill: A slot is filled again when its element has been taken; otherwise more elements than slots are refused.
-    """
+    """Racks with slots, `poses` in the rack's frame: where the middle of the underside of an element's box stands."""
 
     at: FilePose
     lies: Literal["as_built", "own_axes"] = "as_built"
@@ -69,7 +47,7 @@ class LyingRack(_Rack):
 
 
 class GridRack(LyingRack):
-    """Slots in rows (along the rack's y) and columns (along its x)."""
+    """Slots in rows along the rack's y and columns along its x."""
 
     kind: Literal["grid"]
     rows: _Count
@@ -77,14 +55,10 @@ class GridRack(LyingRack):
     pitch: tuple[_Step, _Step]
 
     @property
-    def count(self) -> int:
-        """How many slots it has."""
-        return self.rows * self.columns
-
-    def slot(self, at: int, filled: int) -> Pose:
-        """Return the pose of a slot in the rack, of which the first `filled` are filled."""
-        row, column = divmod(at, self.columns)
-        return Pose(np.array([column * self.pitch[0], row * self.pitch[1], 0.0]), np.eye(3))
+    def poses(self) -> list[Pose]:
+        """The slots, row by row."""
+        x, y = self.pitch
+        return [_at(column * x, row * y, 0.0) for row in range(self.rows) for column in range(self.columns)]
 
 
 class StackRack(LyingRack):
@@ -95,38 +69,25 @@ class StackRack(LyingRack):
     step: _Step
 
     @property
-    def count(self) -> int:
-        """How many slots it has."""
-        return self.levels
-
-    def slot(self, at: int, filled: int) -> Pose:
-        """Return the pose of a slot in the rack, of which the first `filled` are filled."""
-        return Pose(np.array([0.0, 0.0, (filled - 1 - at) * self.step]), np.eye(3))
+    def poses(self) -> list[Pose]:
+        """The slots, from below."""
+        return [_at(0.0, 0.0, level * self.step) for level in range(self.levels)]
 
 
 class ListRack(LyingRack):
-    """Slots at poses of their own, in the rack's frame."""
+    """Slots at poses in the rack's frame."""
 
     kind: Literal["list"]
     slots: Annotated[tuple[FilePose, ...], pydantic.Field(min_length=1)]
 
     @property
-    def count(self) -> int:
-        """How many slots it has."""
-        return len(self.slots)
-
-    def slot(self, at: int, filled: int) -> Pose:
-        """Return the pose of a slot in the rack, of which the first `filled` are filled."""
-        return pose_of(self.slots[at])
+    def poses(self) -> list[Pose]:
+        """The slots as they are given."""
+        return list(map(pose_of, self.slots))
 
 
 class DeliveredRack(_Rack):
-    """The model says where the elements are delivered.
-
-    Attributes:
-        offset: Every element lies this far from where it will be built, in the model's frame, turned about its own origin.
-        property: ``Pset.Name`` of a text ``x y z`` or ``x y z roll pitch yaw`` [m, deg]: where the element's frame is, in `frame`.
-    """
+    """The model says where the elements are delivered; `offset`: else, from where they will be built, in its frame."""
 
     kind: Literal["delivered"]
     offset: FilePose | None = None
@@ -137,14 +98,7 @@ Rack = Annotated[GridRack | StackRack | ListRack | DeliveredRack, pydantic.Field
 
 
 class CellFile(Strict):
-    """The keys of a cell file, each explained in config/work/timber_panel.yaml.
-
-    Attributes:
-        model_T_base: Where the robot's base_link is in the model.
-        base_element: GlobalId or name of the element of the model that stands for the robot's base_link; empty: `model_T_base` is
-            given.
-        supports: Objects of the scene that elements are set down on.
-    """
+    """The keys of a cell file, explained in config/work/timber_panel.yaml."""
 
     tool: str
     recipes: str
@@ -178,7 +132,7 @@ class Site:
         return self.base(building).model_T_element
 
     def base(self, building: BuildingModel) -> Element:
-        """Return the element that stands for the robot's base; raises as `model_T_base`."""
+        """Return the element that stands for the robot's base."""
         asked = self.file.base_element
         if asked in building.elements:
             return building.elements[asked]
@@ -216,6 +170,10 @@ def _check_names(path: str, cell: CellFile, scene: Scene) -> None:
         if "/" in item.name:
             expected = "objects without / in their names, which belong to elements and tool"
             raise ConfigurationError(f"{path}/scene", item.name, expected)
+
+
+def _at(x: float, y: float, z: float) -> Pose:
+    return Pose(np.array([x, y, z]), np.eye(3))
 
 
 def pose_of(place: FilePose) -> Pose:

@@ -1,8 +1,4 @@
-"""The scene of a cell at one state of the work, and the job of each element: from cell, building model and convex pieces.
-
-Metres; poses in the robot's base_link. Elements that are not delivered are not there, stock is where its rack says, what was placed
-stands as built, and what no task makes or moves stands where the model has it.
-"""
+"""The scene of a cell at one state of the work, the stock, and the job of each element. Poses in the base_link [m]."""
 
 from __future__ import annotations
 
@@ -28,7 +24,7 @@ from construction_twin.scene.objects import Scene, SceneObject, product, tool_ob
 
 @dataclass(frozen=True, eq=False)
 class Slot:
-    """Where one element lies in stock; `surface`: the scene's object that it lies on; empty: none."""
+    """Where one element lies in stock; `surface`: the scene's object below it."""
 
     element: str
     rack: str
@@ -40,21 +36,13 @@ class Slot:
 
 @dataclass(frozen=True, eq=False)
 class StockPlan:
-    """All elements in their slots.
-
-    Attributes:
-        slots: By element, in the order in which they are needed.
-        stacks: Names of the racks that are filled as a whole.
-    """
+    """All elements in their slots, in the order in which they are needed; `stacks`: the racks that are filled as a whole."""
 
     slots: Mapping[str, Slot]
     stacks: frozenset[str] = frozenset()
 
     def present(self, taken: Collection[str]) -> tuple[str, ...]:
-        """Return the elements that lie in their slots when some have been taken.
-
-        An element of a later load is delivered when its slot is empty; that of a stack when the whole stack is.
-        """
+        """Return what lies in stock: an element of a later load when its slot, or its whole stack, is empty."""
         gone = set(taken)
         left: dict[tuple[str, int], int] = {}
         for element, slot in self.slots.items():
@@ -68,7 +56,7 @@ class StockPlan:
         )
 
     def instead_of(self, element: str, taken: Collection[str]) -> str:
-        """Return the element of a later load that counts as delivered where this one is to lie again; empty: there is none."""
+        """Return the element of a later load that counts as delivered where this one is to lie again; empty: none."""
         slot = self.slots.get(element)
         if slot is None:
             return ""
@@ -79,24 +67,22 @@ class StockPlan:
         return ""
 
     def _unit(self, slot: Slot) -> tuple[str, int]:
-        """Return what is filled at once: a slot, or a whole stack."""
         return slot.rack, -1 if slot.rack in self.stacks else slot.number
 
 
 def plan_stock(
     site: Site, building: BuildingModel, order: Sequence[str], corners: Mapping[str, np.ndarray]
 ) -> StockPlan:
-    """Give every element a slot.
-
-    `corners`: Mapping of str to array, shape (n, 3). Points of each element that enclose it, in its own frame [m].
-    """
+    """Give every element a slot; `corners`: shape (n, 3), points that enclose it, in its frame [m]."""
     base_T_model = inverse(site.model_T_base(building))
     members: dict[str, list[Element]] = {name: [] for name in site.file.racks}
     for element in map(building.element, order):
         members[_rack_of(site, element)].append(element)
+    stacks = frozenset(name for name, rack in site.file.racks.items() if isinstance(rack, StackRack))
     slots: dict[str, Slot] = {}
     for name, elements in members.items():
         rack, where = site.file.racks[name], f"{site.path}/racks/{name}"
+        poses = [] if isinstance(rack, DeliveredRack) else rack.poses
         if rack.order == "file":
             place = {element: number for number, element in enumerate(building.elements)}
             elements = sorted(elements, key=lambda element: place[element.id])
@@ -105,15 +91,16 @@ def plan_stock(
                 pose = _delivered(rack, element, base_T_model, building.file, where)
                 slots[element.id] = Slot(element.id, name, number, 0, pose, rack.surface)
                 continue
-            load, at = divmod(number, rack.count)
+            load, at = divmod(number, len(poses))
             if load and not rack.refill:
-                found = f"{rack.count} slots for {len(elements)} elements, none for {element.name!r} ({element.id})"
+                found = f"{len(poses)} slots for {len(elements)} elements, none for {element.name!r} ({element.id})"
                 raise ConfigurationError(where, found, "a slot for each, or `refill: true`")
-            rack_T_slot = rack.slot(at, min(rack.count, len(elements) - load * rack.count))
+            # of a stack what is needed first lies on top
+            top = min(len(poses), len(elements) - load * len(poses)) - 1
+            rack_T_slot = poses[top - at if name in stacks else at]
             base_T_rack = product(base_T_model, pose_of(rack.at)) if rack.frame == "model" else pose_of(rack.at)
             pose = _lying(rack, element, product(base_T_rack, rack_T_slot), corners[element.id])
             slots[element.id] = Slot(element.id, name, at, load, pose, rack.surface)
-    stacks = frozenset(name for name, rack in site.file.racks.items() if isinstance(rack, StackRack))
     return StockPlan({element: slots[element] for element in order}, stacks)
 
 
@@ -136,7 +123,7 @@ def _lying(rack: LyingRack, element: Element, base_T_slot: Pose, corners: np.nda
 
 
 def _delivered(rack: DeliveredRack, element: Element, base_T_model: Pose, file: str, where: str) -> Pose:
-    """Return where the model says that an element is delivered, else where the rack's offset has it."""
+    """Return where the model, or the rack's offset, has an element delivered."""
     group, _, name = rack.property.partition(".")
     value = element.properties.get(group, {}).get(name)
     about = f"element {element.name!r} ({element.id})"
@@ -165,14 +152,13 @@ class Layout:
     """Where every element of a work is before and after.
 
     Args:
-        pieces: Convex pieces of each element in `order`, in its own frame, called ``<GlobalId>/<number>``.
-        standing: Pieces, as above, of the elements that stand where the model has them and that no task makes.
-        jobs: Who works on them; by default one for each, called as the element, by the process of the element's own recipe.
+        pieces, standing: Convex pieces ``<GlobalId>/<number>`` by element, in its frame, of `order` and of what no task makes.
+        jobs: By default one for each element, called as it.
 
     Attributes:
-        standing: What stands from the beginning, fixed, in the robot's base_link.
-        stays: The elements in `order` that no job moves: they stand at their place all the time.
-        comes_after: Elements that are placed before what stands is there, by its GlobalId, see `wholes.comes_after`.
+        standing: In the base_link.
+        stays: The elements in `order` that no job moves.
+        comes_after: See `wholes.comes_after`.
     """
 
     def __init__(
@@ -186,10 +172,10 @@ class Layout:
         jobs: Sequence[Job] = (),
     ):
         self.site, self.building, self.order = site, building, tuple(order)
-        self._pieces = {element: tuple(pieces[element]) for element in order}
+        self.pieces = {element: tuple(pieces[element]) for element in order}
         self._base_T_model = inverse(site.model_T_base(building))
         self._tool = tool_objects(site.tool, link)
-        corners = {element: Pieces(items).points for element, items in self._pieces.items()}
+        corners = {element: Pieces(items).points for element, items in self.pieces.items()}
         own = (Job(one, "", "", one, (), (), site.recipes.process(building.element(one))) for one in order)
         self._jobs = {job.id: job for job in jobs or own}
         placed = {job.element for job in self._jobs.values() if job.moves}
@@ -205,24 +191,16 @@ class Layout:
         self._shapes = Shapes()
         self._stood: dict[tuple[str, bytes], tuple[SceneObject, ...]] = {}
 
-    def pieces(self, element: str) -> tuple[SceneObject, ...]:
-        """Return an element's convex pieces, in its own frame."""
-        return self._pieces[element]
-
-    def slot(self, element: str) -> Slot | None:
-        """Return where an element lies in stock; None: it stays where it stands."""
-        return self.stock.slots.get(element)
-
     def base_T_goal(self, element: str) -> Pose:
         """Return where an element is to stand, as designed."""
         return product(self._base_T_model, self.building.element(element).model_T_element)
 
     def scene(self, placed: Mapping[str, Pose] = MappingProxyType({}), gone: Collection[str] = ()) -> Scene:
-        """Return the scene at a state of the work: surroundings, the tool on the arm, what is in stock, what stands.
+        """Return the scene at a state of the work.
 
         Args:
-            placed: ``base_T_element`` of the elements that stand, as built.
-            gone: Elements that are neither in stock nor placed: lost, in the grip, or taken down.
+            placed: ``base_T_element`` as built.
+            gone: Elements that are neither in stock nor placed.
         """
         objects = [*self.site.scene.objects]
         for item in self.standing:
@@ -236,31 +214,31 @@ class Layout:
             if element not in placed and element not in gone:
                 objects += self._at(element, self.base_T_goal(element))
         for element, pose in placed.items():
-            if element in self._pieces:
+            if element in self.pieces:
                 objects += self._at(element, pose)
         return Scene(tuple(objects), self.site.scene.padding)
 
     def job_for(self, element: str, scene: Scene, task: str = "") -> WorkJob:
-        """Return the job of an element; `task`: id of the job; one that the layout does not know: its first one."""
+        """Return the job of an element; `task`: its id, by default the element's first."""
         asked = self._jobs.get(task) or next(job for job in self._jobs.values() if job.element == element)
-        built, slot = self.building.element(element), self.slot(element) if asked.moves else None
+        built, slot = self.building.element(element), self.stock.slots.get(element) if asked.moves else None
         goal = self.base_T_goal(element) if asked.moves else self._stands(element, scene)
         of_task = self.building.tasks.get(asked.task)
-        of_work = {item.name for items in self._pieces.values() for item in items}
+        of_work = {item.name for items in self.pieces.values() for item in items}
         of_work |= {item.name for item in self.standing}
-        own = {item.name for item in self._pieces[element]}
+        own = {item.name for item in self.pieces[element]}
         others = [item for item in scene.objects if item.name in of_work - own and not item.link]
         beside = {
             name
             for pose in ([goal] if slot is None else [slot.base_T_element, goal])
-            for name in self._shapes.near(self._pieces[element], [pose], others, scene.padding)
+            for name in self._shapes.near(self.pieces[element], [pose], others, scene.padding)
         }
         x, y, z = map(float, self._base_T_model.rotation[:, 2])
         fixed = {*self.site.file.supports, *([] if slot is None else [slot.surface])} & set(scene.names)
         return WorkJob(
             task or element,
             built,
-            bodies=self._pieces[element],
+            bodies=self.pieces[element],
             base_T_stock=None if slot is None else slot.base_T_element,
             base_T_goal=goal,
             supports=tuple(sorted(beside | fixed)),
@@ -269,17 +247,16 @@ class Layout:
         )
 
     def _stands(self, element: str, scene: Scene) -> Pose:
-        """Return where an element stands in a scene; as designed where it does not."""
-        first = self._pieces[element][0]
+        """Return where an element stands in a scene, or as designed."""
+        first = self.pieces[element][0]
         if first.name not in scene.names or scene.get(first.name).link:
             return self.base_T_goal(element)
         return product(scene.get(first.name).pose, inverse(first.pose))
 
     def _at(self, element: str, base_T_element: Pose) -> tuple[SceneObject, ...]:
-        """Return an element's pieces at a pose; they are kept, because most elements stay where they are."""
         key = element, base_T_element.position.tobytes() + base_T_element.rotation.tobytes()
         if key not in self._stood:
             if len(self._stood) >= _STOOD:
                 self._stood.clear()
-            self._stood[key] = tuple(item.moved(product(base_T_element, item.pose)) for item in self._pieces[element])
+            self._stood[key] = tuple(item.moved(product(base_T_element, item.pose)) for item in self.pieces[element])
         return self._stood[key]

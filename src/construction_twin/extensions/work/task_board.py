@@ -1,7 +1,4 @@
-"""What is to be done of a building model: the ledger read against schedule, stock and model. Answers and refuses; plans nothing.
-
-Pure but for the ledger's file. Times in ns since 1970, poses in the robot's base_link [m].
-"""
+"""What can be done of a building model: the ledger read against schedule, stock and model."""
 
 from __future__ import annotations
 
@@ -32,25 +29,24 @@ from construction_twin.extensions.work.task_memory import (
     TaskEvent,
     TaskState,
 )  # fmt: skip
-from construction_twin.kinematics.chain import Pose
 
 #: Words for where the schedule comes from, as `WorkTasks.msg` has them.
 FROM_MODEL, FROM_PERSON, PROPOSED = "model", "accepted", "proposed"
 
 
 class WorkRefused(WorkError):
-    """What was asked for cannot be done now; the sentence says why and what to do."""
+    """What was asked for cannot be done now; says why and what to do."""
 
 
 def removed_command(task: str) -> str:
-    """Return the command by which a person says that what a removal takes down, or what was placed, is gone; sentences name it."""
+    """Return the command by which a person says that something is gone."""
     return f"`twin work removed {shlex.quote(task)}`"
 
 
 class TaskBoard:
-    """Answers what can be done, and takes what people say. Not for several threads at once.
+    """Answers what can be done. For one thread; times since 1970 [ns].
 
-    `failures`: Why a task could not be planned when it was tried last, by id; not on the disk.
+    `failures`: Why a task could not be planned last, by id; not on the disk.
     """
 
     def __init__(self, prepared: Prepared, ledger: Ledger, robot: str, tip_link: str):
@@ -60,14 +56,11 @@ class TaskBoard:
 
     @property
     def book(self) -> Book:
-        """What the ledger says now."""
+        """The states of the tasks."""
         return self.ledger.book
 
     def add(self, entry: Entry) -> None:
-        """Write an event of a task, with the task's element; when this returns it is on the disk.
-
-        The first one, and each that is about to be handled, says what the element is, so that it can stand without its model.
-        """
+        """Write an event of a task; the first one, and each before it is handled, with what the element needs without its model."""
         task, memory = entry.task, self.book.tasks[entry.task]
         handled = entry.event == TaskEvent.OFFERED.value and not memory.in_grip
         if task in self.book.after and (handled or not memory.body) and self.built.element(task).bodies:
@@ -80,7 +73,7 @@ class TaskBoard:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a person should know of model, schedule and ledger before anything is accepted or planned."""
+        """What a person should know of model and schedule."""
         return (*self.prepared.notes, *self.prepared.schedule.notes)
 
     @property
@@ -95,7 +88,7 @@ class TaskBoard:
         return next((job for job in self.book.after if not self.obstacle(job, now)), "")
 
     def obstacle(self, task: str, now: int) -> str:
-        """Return why a task cannot be planned now, as a sentence; empty: it can; `now`: since 1970 [ns]."""
+        """Return why a task cannot be planned now; empty: it can."""
         book = self.book
         if task not in book.after:
             return f"there is no task {task!r}; `twin work list` names them"
@@ -135,7 +128,6 @@ class TaskBoard:
         return self._lag(task, now)
 
     def _not_there(self, task: str) -> str:
-        """Return why an element cannot be worked on where it is to stand; empty: it stands there."""
         element, name = self.element_of(task), self.built.element(task).name
         placing = self.prepared.schedule.placing.get(element)
         if element in self.built.gone():
@@ -146,10 +138,9 @@ class TaskBoard:
         return ""
 
     def left_closed(self, commanded: Collection[str]) -> str:
-        """Return what a person does about a grip that is commanded to hold while nothing counts as held; empty: nothing.
+        """Return what a person does about a grip that is closed on nothing, as after one that was not confirmed.
 
-        So it is after a grip that was not confirmed, when the element was said to lie in its stock. The next approach would suck it
-        too early, and no plan opens a grip that holds nothing. `commanded`: The tool's outputs that command its grip to hold.
+        The next approach would suck too early, and no plan opens it. `commanded`: The outputs that command it to hold.
         """
         book = self.book
         doubtful = book.in_state(TaskState.ASKS, TaskState.PLANNED, *UNDER_WAY)
@@ -164,12 +155,8 @@ class TaskBoard:
         """Return the GlobalId of a task's element."""
         return self.built.job(task).element
 
-    def goal(self, task: str) -> Pose:
-        """Return where the model has a task's element."""
-        return self.built.element(task).base_T_goal
-
     def report(self, now: int) -> WorkReport:
-        """Return what is published of the work while the arm is not engaged."""
+        """Return the state of the work; the arm is not engaged."""
         return WorkReport(
             model=self.prepared.model,
             model_hash=self.prepared.digest,
@@ -182,21 +169,21 @@ class TaskBoard:
         )
 
     def title(self, task: str) -> str:
-        """Return a task's name for sentences; its id where it has none, and behind it where others have the same."""
+        """Return a task's name in sentences, with the id where others have it."""
         return self.prepared.titles.get(task) or repr(self.built.element(task).name)
 
     def typed(self, task: str) -> str:
-        """Return what a person types for a task: its name, or its id where others have the same name."""
+        """Return what a person types for a task: its name, or its id where others have it."""
         name = self.built.job(task).name
         return name if name and self.title(task) == repr(name) else task
 
     def called(self, sentence: str) -> str:
-        """Return a sentence with names in place of the ids of tasks, and of elements that are not in the model any more."""
+        """Return a sentence with names in place of ids."""
         former = labels({each.element: each.name for each in self.book.former.values()})
         return named(sentence, {**self.prepared.titles, **former})
 
     def summary(self, now: int) -> str:
-        """Return one sentence: what the work waits for."""
+        """Return what the work waits for."""
         book = self.book
         if not book.tasks:
             return "the model has no task for this arm"
@@ -206,12 +193,8 @@ class TaskBoard:
         return self.obstacle(book.open[0], now) if book.open else "every task is done or skipped"
 
     def _row(self, task: str, now: int) -> TaskReport:
-        job, memory, facts, far = (
-            self.built.job(task),
-            self.book.tasks[task],
-            self.built.element(task),
-            self.built.deviation(task),
-        )
+        job, memory = self.built.job(task), self.book.tasks[task]
+        facts, far = self.built.element(task), self.built.deviation(task)
         scheduled = self.prepared.scheduled.get(task, Scheduled())
         return TaskReport(
             id=task,
@@ -238,7 +221,7 @@ class TaskBoard:
         )
 
     def _reason(self, task: str, now: int) -> str:
-        """Return what a task waits for, with what a person should know of it and its element while that can still matter."""
+        """Return what a task waits for, and remarks on it until it is done."""
         reason = self._stands(task, now)
         if self.book.tasks[task].state is not TaskState.DONE:
             for remark in self.prepared.schedule.remarks.get(task, ()):
@@ -273,7 +256,7 @@ class TaskBoard:
         return f"placed, measured by {memory.measured}" if memory.measured else "placed, by the arm's own pose"
 
     def question(self, task: str) -> str:
-        """Return what a person is asked about a task's element; empty: nothing."""
+        """Return what a person is asked of a task; empty: nothing."""
         memory = self.book.tasks[task]
         if task in self.book.after or memory.state is not TaskState.ASKS:
             return memory.question(self.built.element(task).name)
@@ -289,7 +272,7 @@ class TaskBoard:
         return Sentence("{question}. The last that is known of it: {known}", question=asked, known=memory.known)
 
     def answers(self, task: str) -> tuple[str, ...]:
-        """Return what can be answered to a task's question; of what has no task any more, whether it stands."""
+        """Return what can be answered to a task's question."""
         memory = self.book.tasks[task]
         if task in self.book.after or memory.state is not TaskState.ASKS:
             return memory.possible_answers()

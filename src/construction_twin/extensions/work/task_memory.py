@@ -1,22 +1,19 @@
-"""The states of a task of a building model, and what the events so far say of one: a value, of which one more event makes another.
+"""The states of a task, its events as lines of the ledger, and what these say of one task.
 
-Pure. Every event but two is a line of the ledger; `FREED` and `BLOCKED` follow from the states of other tasks. What cannot be known
-after a kill ends in `ASKS`: a person says what is so.
+Every event but `FREED` and `BLOCKED`, which follow from other tasks, is a line. What a kill leaves open ends in `ASKS`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
-from typing import Any
+from typing import Any, NamedTuple
 
-from construction_twin.core import state_table
 from construction_twin.core.sentences import Sentence
 from construction_twin.extensions.work.errors import WorkError
-from construction_twin.extensions.work.process import MODULES, process_of
-from construction_twin.extensions.work.recipe import DEFAULT
+from construction_twin.extensions.work.process import DEFAULT, MODULES, process_of
 
 
 class TaskState(Enum):
@@ -63,39 +60,36 @@ class TaskEvent(Enum):
     SAME = "same"
 
 
-class Guard(Enum):
-    """What must hold for a row to count; the values are the words of the documentation."""
+class Row(NamedTuple):
+    """What an event does in a state; of several rows the first one that fits counts.
 
-    ALWAYS = ""
-    IN_GRIP = "the element is in the grip"
-    STAYS = "its process does not move the element"
-    SAYS_STOCK = "the answer is `in_stock`"
-    SAYS_GRIP = "the answer is `in_grip`"
-    SAYS_PLACED = "the answer is `placed`"
-    SAYS_GONE = "the answer is `gone`"
-    SAYS_DONE = "the answer is `done`"
-    SAYS_NOT_DONE = "the answer is `not_done`"
+    Attributes:
+        target: None: the state stays.
+        change: Key of `CHANGES`.
+        when: Attribute of `TaskMemory` that must be true, or the answer that must be given; empty: always.
+    """
 
-
-class Action(Enum):
-    """What is done before the next state is entered; the values are the words of the documentation."""
-
-    NOTHING = ""
-    KEEP_PLAN = "the plan is kept"
-    FORGET_PLAN = "the plan is forgotten"
-    IN_GRIP = "the element counts as in the grip, held as told"
-    NOT_IN_GRIP = "the element counts as in its stock; the plan is forgotten"
-    PLACED = "the element counts as placed, where the arm let go of it"
-    PLACED_AS_TOLD = "the element counts as placed, where the model has it until it is measured"
-    GONE = "the element counts as gone; the plan is forgotten"
-    REMOVED = "the element counts as taken down"
-    DOUBTED = "the plan is forgotten; where the element was said to be is kept"
-    MEASURED = "the element counts as placed where it was measured"
+    state: TaskState
+    event: TaskEvent
+    target: TaskState | None
+    change: str
+    when: str
 
 
-Row = state_table.Row[TaskState, TaskEvent, Guard, Action]
-_S, _E, _G, _A = TaskState, TaskEvent, Guard, Action
-rows = state_table.Rows(TaskState, TaskEvent, Guard, Action)
+_S, _E = TaskState, TaskEvent
+
+
+def _rows(
+    states: TaskState | Iterable[TaskState],
+    event: TaskEvent,
+    target: TaskState | None,
+    change: str = "",
+    when: str = "",
+) -> list[Row]:
+    return [
+        Row(state, event, target, change, when) for state in ([states] if isinstance(states, TaskState) else states)
+    ]
+
 
 #: States in which a motion of the task may be under way.
 UNDER_WAY = (_S.WORKING, _S.GRIPPING, _S.CARRYING, _S.RELEASING, _S.RETREATING)
@@ -106,78 +100,98 @@ PLANNABLE = (_S.READY, _S.CARRIED)
 #: States for which no other task waits.
 SETTLED = (_S.DONE, _S.SKIPPED)
 
-#: What is not in the table is refused by `task_memory.TaskMemory`.
+#: What is not in the table is refused.
 TABLE: tuple[Row, ...] = (
-    *rows(_S.WAITING, _E.FREED, _S.READY),
-    *rows(_S.READY, _E.BLOCKED, _S.WAITING),
+    *_rows(_S.WAITING, _E.FREED, _S.READY),
+    *_rows(_S.READY, _E.BLOCKED, _S.WAITING),
     # written before the plan is offered: from then on somebody may approve it
-    *rows(PLANNABLE, _E.OFFERED, _S.PLANNED, _A.KEEP_PLAN),
-    *rows(_S.PLANNED, _E.PLANNED, None, _A.KEEP_PLAN),
-    *rows(_S.PLANNED, _E.DROPPED, _S.CARRIED, _A.FORGET_PLAN, _G.IN_GRIP),
-    *rows(_S.PLANNED, _E.DROPPED, _S.READY, _A.FORGET_PLAN),
-    *rows(_S.PLANNED, _E.BEGUN, _S.CARRYING, _A.KEEP_PLAN, _G.IN_GRIP),
-    *rows(_S.PLANNED, _E.BEGUN, _S.WORKING, _A.KEEP_PLAN),
-    *rows(_S.WORKING, _E.GRIPPING, _S.GRIPPING),
-    *rows(_S.WORKING, _E.FINISHED, _S.DONE, _A.FORGET_PLAN, _G.STAYS),
-    *rows(_S.WORKING, _E.STOPPED, _S.READY, _A.NOT_IN_GRIP),
-    *rows(_S.GRIPPING, _E.GRIPPED, _S.CARRYING, _A.IN_GRIP),
-    *rows(_S.GRIPPING, _E.NOT_GRIPPED, _S.READY, _A.NOT_IN_GRIP),
-    *rows(_S.GRIPPING, _E.STOPPED, _S.ASKS, _A.FORGET_PLAN),
-    *rows(_S.CARRYING, _E.RELEASING, _S.RELEASING),
-    *rows(_S.CARRYING, _E.STOPPED, _S.ASKS, _A.FORGET_PLAN),
-    *rows(_S.RELEASING, _E.RELEASED, _S.RETREATING, _A.PLACED),
-    *rows(_S.RELEASING, _E.STOPPED, _S.ASKS, _A.FORGET_PLAN),
-    *rows(_S.RETREATING, _E.FINISHED, _S.DONE, _A.FORGET_PLAN),
+    *_rows(PLANNABLE, _E.OFFERED, _S.PLANNED, "plan"),
+    *_rows(_S.PLANNED, _E.PLANNED, None, "plan"),
+    *_rows(_S.PLANNED, _E.DROPPED, _S.CARRIED, "no plan", "in_grip"),
+    *_rows(_S.PLANNED, _E.DROPPED, _S.READY, "no plan"),
+    *_rows(_S.PLANNED, _E.BEGUN, _S.CARRYING, "plan", "in_grip"),
+    *_rows(_S.PLANNED, _E.BEGUN, _S.WORKING, "plan"),
+    *_rows(_S.WORKING, _E.GRIPPING, _S.GRIPPING),
+    *_rows(_S.WORKING, _E.FINISHED, _S.DONE, "no plan", "stays"),
+    *_rows(_S.WORKING, _E.STOPPED, _S.READY, "in stock"),
+    *_rows(_S.GRIPPING, _E.GRIPPED, _S.CARRYING, "in grip"),
+    *_rows(_S.GRIPPING, _E.NOT_GRIPPED, _S.READY, "in stock"),
+    *_rows(_S.CARRYING, _E.RELEASING, _S.RELEASING),
+    *_rows((_S.GRIPPING, _S.CARRYING, _S.RELEASING), _E.STOPPED, _S.ASKS, "no plan"),
+    *_rows(_S.RELEASING, _E.RELEASED, _S.RETREATING, "placed"),
+    *_rows(_S.RETREATING, _E.FINISHED, _S.DONE, "no plan"),
     # the element stands; that the arm stopped on its way out changes nothing about it
-    *rows(_S.RETREATING, _E.STOPPED, _S.DONE, _A.FORGET_PLAN),
-    *rows(_S.RETREATING, _E.UNKNOWN, _S.DONE, _A.FORGET_PLAN),
-    *rows(_DOUBTFUL, _E.UNKNOWN, _S.ASKS, _A.FORGET_PLAN),
-    *rows(_S.ASKS, _E.ANSWERED, _S.READY, _A.NOT_IN_GRIP, _G.SAYS_STOCK),
-    *rows(_S.ASKS, _E.ANSWERED, _S.CARRIED, _A.IN_GRIP, _G.SAYS_GRIP),
-    *rows(_S.ASKS, _E.ANSWERED, _S.DONE, _A.PLACED_AS_TOLD, _G.SAYS_PLACED),
-    *rows(_S.ASKS, _E.ANSWERED, _S.HELD, _A.GONE, _G.SAYS_GONE),
-    *rows(_S.ASKS, _E.ANSWERED, _S.DONE, _A.NOTHING, _G.SAYS_DONE),
-    *rows(_S.ASKS, _E.ANSWERED, _S.READY, _A.NOT_IN_GRIP, _G.SAYS_NOT_DONE),
-    *rows((_S.DONE, _S.SKIPPED), _E.MEASURED, None, _A.MEASURED),
-    *rows((_S.WAITING, _S.READY, _S.HELD), _E.SKIPPED, _S.SKIPPED),
+    *_rows(_S.RETREATING, _E.STOPPED, _S.DONE, "no plan"),
+    *_rows(_S.RETREATING, _E.UNKNOWN, _S.DONE, "no plan"),
+    *_rows(_DOUBTFUL, _E.UNKNOWN, _S.ASKS, "no plan"),
+    *_rows(_S.ASKS, _E.ANSWERED, _S.READY, "in stock", "in_stock"),
+    *_rows(_S.ASKS, _E.ANSWERED, _S.CARRIED, "in grip", "in_grip"),
+    *_rows(_S.ASKS, _E.ANSWERED, _S.DONE, "placed as told", "placed"),
+    *_rows(_S.ASKS, _E.ANSWERED, _S.HELD, "gone", "gone"),
+    *_rows(_S.ASKS, _E.ANSWERED, _S.DONE, "", "done"),
+    *_rows(_S.ASKS, _E.ANSWERED, _S.READY, "in stock", "not_done"),
+    *_rows((_S.DONE, _S.SKIPPED), _E.MEASURED, None, "measured"),
+    *_rows((_S.WAITING, _S.READY, _S.HELD), _E.SKIPPED, _S.SKIPPED),
     # of what people take down: a person says that it is gone
-    *rows((_S.WAITING, _S.READY, _S.SKIPPED), _E.REMOVED, _S.DONE, _A.REMOVED),
+    *_rows((_S.WAITING, _S.READY, _S.SKIPPED), _E.REMOVED, _S.DONE, "gone"),
     # of what was placed: a person has taken it away
-    *rows(_S.DONE, _E.REMOVED, _S.HELD, _A.GONE),
+    *_rows(_S.DONE, _E.REMOVED, _S.HELD, "gone"),
     # another task, of a former model or in another ledger, has placed it, or has placed what a person says is the same
-    *rows((_S.WAITING, _S.READY), _E.FOUND, _S.ASKS, _A.PLACED),
-    *rows((_S.WAITING, _S.READY), _E.SAME, _S.DONE, _A.PLACED),
+    *_rows((_S.WAITING, _S.READY), _E.FOUND, _S.ASKS, "placed"),
+    *_rows((_S.WAITING, _S.READY), _E.SAME, _S.DONE, "placed"),
     # a person says that the element is back in its stock; of what was taken down, that it stands
-    *rows((_S.DONE, _S.SKIPPED, _S.HELD), _E.REDONE, _S.READY, _A.NOT_IN_GRIP),
+    *_rows((_S.DONE, _S.SKIPPED, _S.HELD), _E.REDONE, _S.READY, "in stock"),
     # the model was changed: what the record of the former one says of its elements is no longer sure; of what is
     # in the grip also a person may doubt, and the tool
-    *rows((_S.WAITING, _S.READY, _S.CARRIED, _S.DONE, _S.SKIPPED), _E.UNKNOWN, _S.ASKS, _A.DOUBTED),
+    *_rows((_S.WAITING, _S.READY, _S.CARRIED, _S.DONE, _S.SKIPPED), _E.UNKNOWN, _S.ASKS, "doubted"),
 )
 
-ROWS = state_table.by_cause(TABLE)
-#: What a person can answer; the question adds which are possible.
-ANSWERS = ("in_stock", "in_grip", "placed", "gone")
-#: The same of a task whose process does not move the element.
-ANSWERS_OF_STAYING = ("done", "not_done")
-#: The same of what was placed by a task that the schedule does not have any more, with what they are in the ledger; before them
-#: `SAME`, where the model has a counterpart.
-ANSWERS_OF_FORMER = {"stands": "placed", "taken_away": "gone"}
-SAME = "same"
-#: What can be answered for all that was placed at once: each leaves it an obstacle.
-ANSWERS_FOR_ALL = (SAME, "stands", "placed")
-#: The guard that each of them satisfies.
-SAYS = {
-    "in_stock": _G.SAYS_STOCK, "in_grip": _G.SAYS_GRIP, "placed": _G.SAYS_PLACED, "gone": _G.SAYS_GONE,
-    "done": _G.SAYS_DONE, "not_done": _G.SAYS_NOT_DONE,
+ROWS: dict[tuple[TaskState, TaskEvent], list[Row]] = {
+    (state, event): [row for row in TABLE if row[:2] == (state, event)] for state in TaskState for event in TaskEvent
+}
+
+_NO_PLAN: dict[str, Any] = {"plan": "", "offer": ""}
+_IN_STOCK = {
+    **_NO_PLAN, "grip": "", "measured": "", "in_grip": False, "placed": False, "gone": False,
+    "tool0_T_element": (), "base_T_element": (),
+}  # fmt: skip
+_HELD = {"in_grip": True, "placed": False, "gone": False}
+_PLACED = {"in_grip": False, "placed": True, "gone": False}
+
+#: What a row changes, from what was known and the event.
+CHANGES: Mapping[str, Callable[[TaskMemory, Entry], dict[str, Any]]] = {
+    "": lambda memory, entry: {},
+    "plan": lambda memory, entry: {
+        "plan": entry.plan or memory.plan, "offer": entry.offer or memory.offer, "grip": entry.grip or memory.grip,
+        "tool0_T_element": entry.pose or memory.tool0_T_element,
+    },
+    "no plan": lambda memory, entry: _NO_PLAN,
+    "in stock": lambda memory, entry: _IN_STOCK,
+    "in grip": lambda memory, entry: {**_HELD, "tool0_T_element": entry.pose or memory.tool0_T_element},
+    "placed": lambda memory, entry: {**_PLACED, "base_T_element": entry.pose, "measured": ""},
+    # where the model has it until it is measured
+    "placed as told": lambda memory, entry: _PLACED,
+    "gone": lambda memory, entry: {**_IN_STOCK, "gone": True},
+    "doubted": lambda memory, entry: {**_NO_PLAN, "base_T_element": entry.pose or memory.base_T_element},
+    "measured": lambda memory, entry: {
+        "placed": True, "gone": False, "base_T_element": entry.pose, "measured": entry.person,
+    },
 }  # fmt: skip
 
+#: What a person can answer; the same of a task whose process leaves the element where it stands; of what no task of the schedule
+#: places any more, with its word in the ledger, and `SAME` where the model has a counterpart; for all that was placed at once.
+ANSWERS = ("in_stock", "in_grip", "placed", "gone")
+ANSWERS_OF_STAYING = ("done", "not_done")
+ANSWERS_OF_FORMER = {"stands": "placed", "taken_away": "gone"}
+SAME = "same"
+ANSWERS_FOR_ALL = (SAME, "stands", "placed")
 
 #: Events that are about no task.
 OPENED, ACCEPTED, MENDED, CHANGED = "opened", "accept_schedule", "mended", "changed"
 OF_NO_TASK = (OPENED, ACCEPTED, MENDED, CHANGED)
 #: Where the pose of an element that was let go comes from.
 MEASURED, PLANNED = "measured", "planned"
-#: What a person has seen of an element of which they said that it stands, and is not in the model.
+#: What a person has seen of an element that stands and is not in the model.
 NOT_IN_MODEL = "not in the model"
 
 #: What is known last, by state.
@@ -204,21 +218,18 @@ class Entry:
     """One line of the ledger.
 
     Attributes:
-        event: A `TaskEvent`'s word, or `OPENED`, `ACCEPTED`, `MENDED`, `CHANGED`.
-        task, element: GlobalIds; empty where it is about neither.
-        name, ifc_class, body, goal: Of the element, as it was handled: what it needs to stand in the scene without its model.
-            `body`: digest of its pieces (`Ledger.keep`); `goal`: where the model had it.
-        seen: What the model said of the element then, as `book.Present.digest`; of one that it did not have `NOT_IN_MODEL`.
-        former: Of `same`, `found` and `unknown`: the task that handled the element, which this one replaces.
-        source: Of the pose of `released` and `same`: `MEASURED` by the arm's own feedback, or `PLANNED`: as planned, not measured.
-            Of `found`: the ledger that says so.
-        plan, offer: `offer` is named in the plan's `source`, so that a plan whose id was never learnt is known again.
-        grip: Of `offered`: how it is done, see `jobs.TaskMotions.method`.
+        event: Value of a `TaskEvent`, or one of `OF_NO_TASK`.
+        task, element: GlobalIds.
+        body: Digest of the element's pieces (`Ledger.keep`), by which it stands without its model.
+        seen: `Present.digest` when it was handled; `NOT_IN_MODEL`.
+        former: Of `same`, `found` and `unknown`: the task that handled the element before.
+        source: Of `released` and `same`: `MEASURED` or `PLANNED`. Of `found`: "<ledger> <task> <time>".
+        offer: Stands in the plan's `source`, by which a plan without known id is found.
+        grip: `TaskMotions.method`.
         process: Of `offered`; empty: `recipe.DEFAULT`.
-        pose, goal: Length 7 or 0. How it will be held (`offered`), or where it stands (`released`, `measured`, `same`) or is said
-            to stand (`unknown`, `found`).
-        model, cell, schedule: SHA-256 of the model's file; path of the cell file; SHA-256 of the schedule that was accepted.
-        time_ns: When it was written, since 1970 [ns].
+        pose, goal: Length 7 or 0. How the element is held (`offered`), where it stands (others); where the model had it.
+        model, schedule: SHA-256.
+        time_ns: Since 1970 [ns].
     """
 
     event: str
@@ -280,27 +291,23 @@ class NotNow(WorkError):
     """An event does not fit the state of a task."""
 
     def __init__(self, task: str, state: TaskState, event: TaskEvent):
-        self.task, self.state, self.event = task, state, event
         super().__init__(f"task {task} is {state.value}; {event.value!r} does not follow from that")
 
 
 @dataclass(frozen=True)
 class TaskMemory:
-    """What the ledger says of one task.
+    """What the ledger says of one task; attributes that `Entry` has are the last ones that are known.
 
     Attributes:
-        before: The state that a question is about: in which its answer was lost.
-        plan, offer, grip: Of the plan under review or under way; `grip` stays with the element.
-        process: Of the plan that was offered last; empty: `recipe.DEFAULT`.
-        element, name, ifc_class, body, goal, seen: Of the element, see `Entry`; empty: no line says it.
-        source: The other ledger that says that it was placed; empty: this one.
-        in_grip: The element is held by the tool, as far as is known.
-        gone: It is neither in its stock nor placed; of a task that is done: taken down.
-        tool0_T_element, base_T_element: Length 7 or 0. How it is held, or will be, and where it stands as built: x, y, z [m],
-            quaternion x, y, z, w. Empty: not known.
-        measured: Who measured where it stands; empty: it is the arm's own pose when it let go, or not known.
-        as_planned: Where it stands is where the plan had it: nothing was measured.
-        begun_ns, settled_ns: When it was begun, and when it was done or skipped, last, since 1970 [ns]; 0: not yet.
+        before: The state that a question is about.
+        grip: Stays with the element.
+        source: The other ledger by which it was placed; empty: this one.
+        gone: Neither in stock nor placed; of a task that is done: taken down.
+        tool0_T_element, base_T_element: Length 7 or 0: position [m], quaternion x, y, z, w. How it is held, or will be; where it
+            stands as built. Empty: unknown.
+        measured: Who measured where it stands.
+        as_planned: `base_T_element` is the plan's: nothing was measured.
+        begun_ns, settled_ns: Of the last time, since 1970 [ns]; 0: not yet.
     """
 
     task: str
@@ -345,10 +352,9 @@ class TaskMemory:
         row = self._row(entry)
         if row is None:
             raise NotNow(self.task, self.state, TaskEvent(entry.event))
-        changed = {"before": row.state, "state": row.target or self.state, **_CHANGES[row.action](self, entry)}
+        changed = {"before": row.state, "state": row.target or self.state, **CHANGES[row.change](self, entry)}
         changed |= {name: value for name in _ELEMENT if (value := getattr(entry, name))}
         if row.event is TaskEvent.FOUND:
-            # "<file> <task> <time>", so that it is asked once
             changed["source"] = entry.source.split(" ")[0]
         if row.event in (TaskEvent.RELEASED, TaskEvent.MEASURED, TaskEvent.SAME):
             changed["as_planned"] = entry.source == PLANNED
@@ -359,6 +365,14 @@ class TaskMemory:
         if row.target in SETTLED:
             changed["settled_ns"] = entry.time_ns
         return replace(self, **changed)
+
+    def _row(self, entry: Entry) -> Row | None:
+        event = TaskEvent(entry.event)
+        said = entry.answer if entry.answer in self.possible_answers() else None
+        for row in ROWS[self.state, event]:
+            if not row.when or (row.when == said if event is TaskEvent.ANSWERED else getattr(self, row.when)):
+                return row
+        return None
 
     def possible_answers(self) -> tuple[str, ...]:
         """Return what can be answered now: nothing is placed that was never held."""
@@ -410,54 +424,3 @@ class TaskMemory:
         """Whether the element does not lie in its stock any more."""
         # of a skipped task a person takes the element out, so that the next can be delivered
         return self.in_grip or self.placed or self.gone or self.state is TaskState.SKIPPED
-
-    def _row(self, entry: Entry) -> Row | None:
-        def holds(guard: Guard) -> bool:
-            if guard is Guard.IN_GRIP:
-                return self.in_grip
-            if guard is Guard.STAYS:
-                return self.stays
-            return entry.answer in self.possible_answers() and SAYS[entry.answer] is guard
-
-        return state_table.row_of(ROWS, self.state, TaskEvent(entry.event), holds)
-
-
-_NO_PLAN: dict[str, Any] = {"plan": "", "offer": ""}
-_IN_STOCK = {
-    **_NO_PLAN, "grip": "", "measured": "", "in_grip": False, "placed": False, "gone": False,
-    "tool0_T_element": (), "base_T_element": (),
-}  # fmt: skip
-
-
-def _keep_plan(memory: TaskMemory, entry: Entry) -> dict[str, Any]:
-    return {
-        "plan": entry.plan or memory.plan,
-        "offer": entry.offer or memory.offer,
-        "grip": entry.grip or memory.grip,
-        "tool0_T_element": entry.pose or memory.tool0_T_element,
-    }
-
-
-def _is(in_grip: bool = False, placed: bool = False, gone: bool = False) -> dict[str, Any]:
-    """Return that an element is in one place only."""
-    return {"in_grip": in_grip, "placed": placed, "gone": gone}
-
-
-#: What each action of the table changes, from what was known and the event.
-_CHANGES: Mapping[Action, Callable[[TaskMemory, Entry], dict[str, Any]]] = {
-    Action.NOTHING: lambda memory, entry: {},
-    Action.KEEP_PLAN: _keep_plan,
-    Action.FORGET_PLAN: lambda memory, entry: _NO_PLAN,
-    Action.IN_GRIP: lambda memory, entry: {
-        **_is(in_grip=True), "tool0_T_element": entry.pose or memory.tool0_T_element,
-    },
-    Action.NOT_IN_GRIP: lambda memory, entry: _IN_STOCK,
-    Action.PLACED: lambda memory, entry: {**_is(placed=True), "base_T_element": entry.pose, "measured": ""},
-    Action.PLACED_AS_TOLD: lambda memory, entry: _is(placed=True),
-    Action.GONE: lambda memory, entry: {**_IN_STOCK, "gone": True},
-    Action.REMOVED: lambda memory, entry: {**_IN_STOCK, "gone": True},
-    Action.DOUBTED: lambda memory, entry: {**_NO_PLAN, "base_T_element": entry.pose or memory.base_T_element},
-    Action.MEASURED: lambda memory, entry: {
-        "placed": True, "gone": False, "base_T_element": entry.pose, "measured": entry.person,
-    },
-}  # fmt: skip

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 
 from construction_twin.extensions.work.building import Body, BuildingModel, Element, Task
+from construction_twin.scene.objects import relative
 
 #: Classes of elements that are delivered in one piece.
 CLASSES = (
@@ -50,7 +51,7 @@ _PROJECTS = "IfcProjectionElement"
 
 def parts_of(elements: Mapping[str, Element], whole: str) -> list[str]:
     """Return what is a part of an element, or of a part of it, or what a group holds; nearest first."""
-    return _below(_parts(elements), whole)
+    return _below(_held(elements)[0], whole)
 
 
 def in_one_piece(
@@ -63,15 +64,15 @@ def in_one_piece(
     """
     placed = {one for task in tasks.values() if task.kind == "makes" for one in task.products}
     named = {one for task in tasks.values() for one in (*task.products, *task.inputs)}
-    parts, guests = _parts(elements), _guests(elements)
+    parts, guests = _held(elements)
     found: dict[str, Element] = {}
-    for name in sorted(elements, key=lambda one: len(_wholes(elements, one))):
+    for name in sorted(elements, key=lambda one: len(wholes(elements, one))):
         whole, below = found.get(name, elements[name]), _below(parts, name)
         made = name in factory and named.isdisjoint(below)
         if whole.status or not (made or (whole.bodies and name in placed)):
             continue
         with_it: dict[str, None] = {}
-        left = [*parts.get(name, ()), *guests.get(name, ())]
+        left = [*parts[name], *guests[name]]
         while left:
             one = left.pop(0)
             part = found.get(one, elements[one])
@@ -79,7 +80,7 @@ def in_one_piece(
             comes = of_it or part.ifc_class == _PROJECTS or (made and {*part.on} <= {name, *below})
             if one not in with_it and one not in named and not part.status and comes:
                 with_it[one] = None
-                left += [*parts.get(one, ()), *guests.get(one, ())]
+                left += [*parts[one], *guests[one]]
         joined = [part for part in (found.get(one, elements[one]) for one in with_it) if part.bodies]
         if joined:
             found[name] = _joined(whole, joined, made)
@@ -95,9 +96,9 @@ def comes_after(elements: Mapping[str, Element], placed: Collection[str]) -> dic
     """
     of_whole: dict[str, set[str]] = defaultdict(set)
     for one in placed:
-        for whole in (one, *_wholes(elements, one)):
+        for whole in (one, *wholes(elements, one)):
             of_whole[whole].add(one)
-    wholes = {element.assembly for element in elements.values()}
+    with_parts = {element.assembly for element in elements.values()}
 
     def before(hosts: Iterable[str], seen: tuple[str, ...]) -> set[str]:
         found: set[str] = set()
@@ -114,41 +115,37 @@ def comes_after(elements: Mapping[str, Element], placed: Collection[str]) -> dic
         if not element.bodies or element.status or name in of_whole:
             continue
         as_part = before((element.assembly,), (name,))
-        if is_workpiece(element, name in wholes):
-            as_part &= {*_wholes(elements, name)}
+        if is_workpiece(element, name in with_parts):
+            as_part &= {*wholes(elements, name)}
         if first := as_part | before(element.on, (name,)):
             found[name] = frozenset(first)
     return found
 
 
-def _parts(elements: Mapping[str, Element]) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = {name: list(element.members) for name, element in elements.items() if element.members}
-    for element in elements.values():
-        if element.assembly:
-            found.setdefault(element.assembly, []).append(element.id)
-    return found
-
-
-def _guests(elements: Mapping[str, Element]) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = defaultdict(list)
-    for element in elements.values():
+def _held(elements: Mapping[str, Element]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
+    """Return the parts or members of elements, and what is on them."""
+    parts: dict[str, list[str]] = defaultdict(list)
+    guests: dict[str, list[str]] = defaultdict(list)
+    for name, element in elements.items():
+        parts[name] += element.members
+        parts[element.assembly].append(name)
         for host in element.on:
-            found[host].append(element.id)
-    return found
+            guests[host].append(name)
+    return parts, guests
 
 
 def _below(parts: Mapping[str, list[str]], whole: str) -> list[str]:
     found: dict[str, None] = {}
-    left = list(parts.get(whole, ()))
+    left = [*parts[whole]]
     while left:
         at = left.pop(0)
         if at not in found:
             found[at] = None
-            left += parts.get(at, ())
+            left += parts[at]
     return list(found)
 
 
-def _wholes(elements: Mapping[str, Element], name: str) -> tuple[str, ...]:
+def wholes(elements: Mapping[str, Element], name: str) -> tuple[str, ...]:
     """Return what an element is a part of, the nearest first."""
     found: dict[str, None] = {}
     at = elements[name].assembly
@@ -163,13 +160,9 @@ def _joined(whole: Element, parts: list[Element], made: bool) -> Element:
     mass = None if None in masses else sum(mass for mass in masses if mass is not None)
     # what a whole from a factory weighs is said of all of it
     mass = whole.mass if made and whole.mass is not None else mass
-    bodies = (*whole.bodies, *(moved for part in parts for moved in _moved(whole, part)))
-    return replace(whole, bodies=bodies, mass=mass, doubt=next((one.doubt for one in (whole, *parts) if one.doubt), ""))
-
-
-def _moved(whole: Element, part: Element) -> Iterator[Body]:
-    """Yield the bodies of a part in the frame of its whole."""
-    rotation = whole.model_T_element.rotation.T @ part.model_T_element.rotation
-    position = whole.model_T_element.rotation.T @ (part.model_T_element.position - whole.model_T_element.position)
-    for body in part.bodies:
-        yield Body(body.vertices @ rotation.T + position, body.triangles)
+    bodies = [*whole.bodies]
+    for part in parts:
+        at = relative(whole.model_T_element, part.model_T_element)
+        bodies += [Body(body.vertices @ at.rotation.T + at.position, body.triangles) for body in part.bodies]
+    doubt = next((one.doubt for one in (whole, *parts) if one.doubt), "")
+    return replace(whole, bodies=tuple(bodies), mass=mass, doubt=doubt)

@@ -1,8 +1,4 @@
-"""What a process of the work does: read a model in its cell, plan its tasks for the node, and check them. See `worker`.
-
-To be checked, each task is planned in the scene that its turn finds if everything before it stands as designed, from the arm's home
-pose: so each can be checked on its own.
-"""
+"""The process of the work: reads a model in its cell, plans its tasks for the node, and checks them. See `core.worker`."""
 
 from __future__ import annotations
 
@@ -10,7 +6,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -29,10 +25,10 @@ from construction_twin.extensions.work.names import first_few
 from construction_twin.extensions.work.prepared import ElementFacts, Prepared, Scheduled
 from construction_twin.extensions.work.process import TaskMotions, WorkJob, process_of
 from construction_twin.extensions.work.proposed_schedule import propose
-from construction_twin.extensions.work.recipe import DEFAULT
 from construction_twin.extensions.work.schedule import Schedule
-from construction_twin.extensions.work.site import Site, inverse, pose_of, read_site
+from construction_twin.extensions.work.site import Site, pose_of, read_site
 from construction_twin.extensions.work.site_scene import Layout
+from construction_twin.extensions.work.wholes import wholes
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.planner import PlannerSettings
@@ -42,10 +38,10 @@ from construction_twin.scene.self_collision import read_self_collision
 
 #: By how much bodies may be larger than their element without being told [m].
 _TOLD = 0.0005
-
-
 #: Points of the tool's path that are kept are this far apart [s].
 _PATH_STEP = 0.1
+#: What is carried reaches further than the tool: half of the longest element that an arm carries, and something [m].
+_CARRIED = 5.0
 
 
 @dataclass(frozen=True)
@@ -53,19 +49,16 @@ class CheckedTask:
     """What was found for one job.
 
     Attributes:
-        grip: How it is done, see `TaskMotions.method`, or the method that came furthest; empty: none.
-        track: Value of the first linear joint where the process acts at the element's place [m]; None: the robot has none, or
-            there is no plan.
-        clearance: [m], see `TaskMotions`.
+        grip: `TaskMotions.method`, or the one that came furthest; empty: none.
+        track: First linear joint where the process acts at the element's place [m].
+        clearance: [m]
         duration: Of all motions [s], without the waiting for the tool.
-        planning: Time it took to find out [s].
-        stage, reason: What was not possible, and why; empty if it is possible.
-        remarks: What a person should know of the task or its element, as the model was read.
-        path: Length 3. The tool's centre point in the base [m].
+        planning: [s]
+        stage, reason: What was not possible, and why.
+        path: Of the tool's centre point in the base, length 3 each [m].
     """
 
     number: int
-    job: str
     name: str
     element: str
     element_name: str
@@ -79,101 +72,74 @@ class CheckedTask:
     reason: str = ""
     remarks: tuple[str, ...] = ()
     path: tuple[tuple[float, float, float], ...] = field(default=(), repr=False)
-    process: str = DEFAULT
 
 
-class Checker:
-    """Plans every job of a schedule on its own. Not for use from several threads at once.
+@dataclass(frozen=True, eq=False)
+class Session:
+    """What was read, for planning. Not for use from several threads at once."""
 
-    `unplannable`: Why an element can never be planned, by GlobalId.
-    """
-
-    def __init__(
-        self,
-        robot: RobotModel,
-        planner: TaskPlanner,
-        layout: Layout,
-        schedule: Schedule,
-        unplannable: Mapping[str, str],
-        clock: Callable[[], float],
-    ):
-        self._robot, self._planner, self._layout, self._clock = robot, planner, layout, clock
-        self._schedule, self._unplannable = schedule, unplannable
-        self._jobs = schedule.jobs
-        self._chain = Chain(robot)
-        self._tool0_T_tcp = pose_of(layout.site.tool.tool.tool0_T_tcp)
+    robot: RobotModel
+    planner: TaskPlanner
+    layout: Layout
+    schedule: Schedule
+    unplannable: Mapping[str, str]
 
     def check(self, number: int) -> CheckedTask:
-        """Return what was found for one job of the schedule, by its number from 0."""
-        job = self._jobs[number]
-        element = self._layout.building.element(job.element)
-        began = self._clock()
-        remarks = self._schedule.remarks.get(job.id, ())
-        about = number, job.id, job.name, job.element, element.name
-        found = CheckedTask(*about, False, remarks=remarks, process=job.process)
-        if job.element in self._unplannable:
-            return replace(found, reason=self._unplannable[job.element])
+        """Plan one job of the schedule, by its number from 0, from home and with all that comes before it standing as designed."""
+        job, building = self.schedule.jobs[number], self.layout.building
+        began = time.monotonic()
+        found = CheckedTask(
+            number, job.name, job.element, building.element(job.element).name, False,
+            remarks=self.schedule.remarks.get(job.id, ()),
+        )  # fmt: skip
+        if job.element in self.unplannable:
+            return replace(found, reason=self.unplannable[job.element])
         scene, place = self._turn(number)
         try:
-            plan = self._planner.plan(place, self._robot.home, scene)
+            plan = self.planner.plan(place, self.robot.home, scene)
         except ConstructionTwinError as error:
-            found = replace(found, planning=self._clock() - began, reason=str(error))
+            reason = str(error)
             if isinstance(error, TaskPlanningError):
-                found = replace(found, stage=error.stage, grip=error.method, reason=error.reason)
-            return replace(found, reason=self._layout.building.called(found.reason, job.element))
-        return replace(self._described(found, plan), planning=self._clock() - began)
-
-    def _before(self, number: int) -> set[str]:
-        """Return the elements that a job waits for, at first or second hand."""
-        open_jobs, elements = [self._jobs[number]], set()
-        while open_jobs:
-            for wait in open_jobs.pop().after:
-                other = self._schedule.job(wait.job)
-                if other.element not in elements:
-                    elements.add(other.element)
-                    open_jobs.append(other)
-        return elements
-
-    def _turn(self, number: int) -> tuple[Scene, WorkJob]:
-        """Return scene and job when everything before it stands, of what has geometry."""
-        before = [job.element for job in self._jobs[:number] if job.element in self._layout.order]
-        gone = frozenset(job.element for job in self._schedule.removals) & self._before(number)
-        scene = self._layout.scene({one: self._layout.base_T_goal(one) for one in before}, gone)
-        return scene, self._layout.job_for(self._jobs[number].element, scene, self._jobs[number].id)
-
-    def _described(self, found: CheckedTask, plan: TaskMotions) -> CheckedTask:
-        acts = process_of(found.process).acts
+                found, reason = replace(found, stage=error.stage, grip=error.method), error.reason
+            return replace(found, planning=time.monotonic() - began, reason=building.called(reason, job.element))
+        acts = process_of(job.process).acts
         at = next(segment for segment in plan.segments if segment.name == acts).trajectory.positions[-1]
-        linear = [float(value) for value, is_linear in zip(at, self._robot.linear, strict=True) if is_linear]
         return replace(
             found,
             possible=True,
             grip=plan.method,
-            track=linear[0] if linear else None,
+            track=next((float(value) for value, linear in zip(at, self.robot.linear) if linear), None),
             clearance=float(plan.clearance),
             duration=float(plan.duration),
             path=tuple(self._path(plan)),
+            planning=time.monotonic() - began,
         )
 
+    def _turn(self, number: int) -> tuple[Scene, WorkJob]:
+        """Return scene and job when everything before it stands, of what has geometry."""
+        job, layout = self.schedule.jobs[number], self.layout
+        before = [each.element for each in self.schedule.jobs[:number] if each.element in layout.order]
+        # what it waits for, at first or second hand
+        left, waited = [job], {job.id}
+        while left:
+            new = {wait.job for wait in left.pop().after} - waited
+            waited |= new
+            left += map(self.schedule.job, new)
+        gone = frozenset(each.element for each in self.schedule.removals if each.id in waited)
+        scene = layout.scene({one: layout.base_T_goal(one) for one in before}, gone)
+        return scene, layout.job_for(job.element, scene, job.id)
+
     def _path(self, plan: TaskMotions) -> Iterator[tuple[float, float, float]]:
+        chain, tool0_T_tcp = Chain(self.robot), pose_of(self.layout.site.tool.tool.tool0_T_tcp)
         for segment in plan.segments:
             count = max(2, int(segment.trajectory.duration / _PATH_STEP))
             for q in segment.trajectory.sample_many(np.linspace(0.0, segment.trajectory.duration, count))[0]:
-                x, y, z = product(self._chain.forward(q), self._tool0_T_tcp).position
+                x, y, z = product(chain.forward(q), tool0_T_tcp).position
                 yield round(float(x), 3), round(float(y), 3), round(float(z), 3)
 
 
-@dataclass(frozen=True, eq=False)
-class _Session:
-    """What was read, for planning."""
-
-    layout: Layout
-    planner: TaskPlanner
-    checker: Checker
-
-
 #: Filled by `prepare`; the process serves one parent.
-_SESSIONS: list[_Session] = []
+_SESSIONS: list[Session] = []
 
 
 def prepare(
@@ -184,13 +150,7 @@ def prepare(
     planner: Mapping[str, Any],
     cache: str,
 ) -> Prepared:
-    """Read a model and its cell.
-
-    Args:
-        model: Path of the IFC file, or what was read of it.
-        planner: The planner node's settings.
-        cache: Folder for what was read, and for bodies.
-    """
+    """Read a model, a path of an IFC file or what was read of it, and its cell; `cache`: folder for what is made of it."""
     site = read_site(cell)
     building = read_building(model, Path(cache) / "models") if isinstance(model, str) else model
     proposed = not building.tasks
@@ -203,28 +163,26 @@ def prepare(
     reach = chain.reach + float(np.linalg.norm(chain.shoulder)) + float(np.linalg.norm(tool.position))
     base = site.base(building).id if site.file.base_element else ""
     placement = check_placement(building, site.model_T_base(building), reach, base)
-    # what is doubted, or has no usable body, stands as an obstacle
-    sure = [element for element in order if not building.element(element).doubt]
-    shapes, failures = element_shapes(map(building.element, sure), Path(cache) / "bodies")
+    # what is doubted, or has no usable body, stands as an obstacle, and does not stop the others
+    doubted = {one: building.element(one).doubt for one in order if building.element(one).doubt}
+    bodies = Path(cache) / "bodies"
+    shapes, failures = element_shapes((building.element(one) for one in order if one not in doubted), bodies)
     pieces = {element: shape.objects for element, shape in shapes.items()}
-    stands = standing(building, pieces, site, reach, Path(cache) / "bodies")
+    stands, boxed = standing(building, pieces, site, reach, bodies)
     schedule.notes = tuple(map(building.called, schedule.notes))
     schedule.remarks = {job: tuple(map(building.called, said)) for job, said in schedule.remarks.items()}
-    # one element without usable body does not stop the others
     usable = [element for element in order if element in pieces]
-    layout = Layout(site, building, pieces, usable, robot.tip_link, stands.pieces, schedule.jobs)
-    unplannable = {element: str(failure) for element, failure in failures.items()}
-    unplannable |= {element: building.element(element).doubt for element in order if element not in sure}
-    removed = [job.element for job in schedule.removals]
+    layout = Layout(site, building, pieces, usable, robot.tip_link, stands, schedule.jobs)
+    unplannable = {element: building.called(why) for element, why in (failures | doubted).items()}
     elements = {}
-    for element in dict.fromkeys((*order, *removed)):
+    for element in dict.fromkeys((*order, *(job.element for job in schedule.removals))):
         read = building.element(element)
         elements[element] = ElementFacts(
             read.name or read.tag or element, pieces.get(element, ()),
             layout.base_T_goal(element), element_triangles(read), _mass(site, building, schedule, read),
             read.ifc_class,
         )  # fmt: skip
-    notes = [*building.notes, *placement, *(str(failure) for failure in failures.values()), *stands.notes]
+    notes = [*building.notes, *placement, *failures.values(), *boxed]
     notes += [
         f"{element} is planned with bodies up to {1e3 * shape.excess:.1f} mm larger than it is."
         for element, shape in shapes.items()
@@ -233,18 +191,21 @@ def prepare(
     known = {name: value for name, value in planner.items() if name in PlannerSettings.model_fields}
     rng = np.random.default_rng(known["seed"])
     solver = inverse_kinematics(chain, IkSettings(budget_s=planner.get("ik_budget", 0.5)), rng, time.monotonic)
-    links = read_self_collision(self_collision, robot)
-    tasks = TaskPlanner(
-        robot, solver, PlannerSettings.model_validate(known), links, site.tool, site.recipes, time.monotonic
-    )
-    unplannable = {element: building.called(why) for element, why in unplannable.items()}
-    _SESSIONS[:] = [_Session(layout, tasks, Checker(robot, tasks, layout, schedule, unplannable, time.monotonic))]
+    links, settings = read_self_collision(self_collision, robot), PlannerSettings.model_validate(known)
+    tasks = TaskPlanner(robot, solver, settings, links, site.tool, site.recipes, time.monotonic)
+    _SESSIONS[:] = [Session(robot, tasks, layout, schedule, unplannable)]
+    # the duration of a task that makes several elements is none of theirs
+    scheduled = {
+        job.id: Scheduled(task.start, task.duration if job.id == job.task else None)
+        for job in schedule.jobs
+        if (task := building.tasks.get(job.task)) is not None
+    }
     return Prepared(
-        model=Path(building.file).name,
+        model=building.file,
         digest=building.digest,
         cell=str(cell),
         schedule=schedule,
-        schedule_digest=schedule_digest(schedule),
+        schedule_digest=hashlib.sha256(json.dumps([asdict(job) for job in schedule.jobs]).encode()).hexdigest(),
         elements=elements,
         stock=layout.stock,
         tool=site.tool.tool,
@@ -252,14 +213,9 @@ def prepare(
         notes=tuple(map(building.called, notes)),
         unplannable=unplannable,
         standing=layout.standing,
-        scheduled=_scheduled(building, schedule),
+        scheduled=scheduled,
         comes_after=layout.comes_after,
     )
-
-
-def schedule_digest(schedule: Schedule) -> str:
-    """Return the SHA-256 of what a person accepts."""
-    return hashlib.sha256(json.dumps([asdict(job) for job in schedule.jobs]).encode()).hexdigest()
 
 
 def _mass(site: Site, building: BuildingModel, schedule: Schedule, element: Element) -> float | None:
@@ -274,21 +230,12 @@ def _mass(site: Site, building: BuildingModel, schedule: Schedule, element: Elem
         return element.mass
 
 
-def _scheduled(building: BuildingModel, schedule: Schedule) -> dict[str, Scheduled]:
-    """Return when the model's schedule has each job; the duration of a task that makes several elements is none of theirs."""
-    return {
-        job.id: Scheduled(task.start, task.duration if job.id == job.task else None)
-        for job in schedule.jobs
-        if (task := building.tasks.get(job.task)) is not None
-    }
-
-
 def plan(task: str, element: str, start: tuple[float, ...], scene: Scene, held: tuple[float, ...] = ()) -> TaskMotions:
     """Plan a task.
 
     Args:
         start: Length n. Where the arm stands.
-        held: Length 7 or 0. ``tool0_T_element`` of an element that is in the grip already; empty: it lies in its stock.
+        held: Length 7 or 0. ``tool0_T_element`` of an element in the grip; empty: it lies in its stock.
     """
     if not _SESSIONS:
         raise TaskPlanningError(task, "the model has not been read in this process yet")
@@ -303,7 +250,7 @@ def plan(task: str, element: str, start: tuple[float, ...], scene: Scene, held: 
 
 def check(number: int) -> tuple[CheckedTask, int, float]:
     """Return what was found for one job of the schedule, by its number from 0; this process, and its memory [MB]."""
-    return _SESSIONS[0].checker.check(number), os.getpid(), rss_mb()
+    return _SESSIONS[0].check(number), os.getpid(), rss_mb()
 
 
 # -- what stands, and where
@@ -313,106 +260,60 @@ def check_placement(model: BuildingModel, model_T_base: Pose, reach: float, base
     """Return what is out of reach while others are not, as one sentence, or nothing.
 
     Args:
-        reach: Largest distance of the tool's centre point from the base's origin, along a track and with the tool [m], above 0.
-        base: GlobalId of the element that stands for the robot's base, which is not compared; empty: none.
+        reach: Largest distance of the tool's centre point from the base's origin, along a track [m].
+        base: Id of the element that stands for the robot's base, which is not compared.
     """
-    boxes = {one.id: _box(one) for one in model.elements.values() if one.bodies and one.id != base}
+    boxes = {one.id: one.box for one in model.elements.values() if one.bodies and one.id != base}
     if not boxes:
         raise PlacementError(f"{model.file}: no element has geometry, so nothing can be placed")
-    at = model_T_base.position
-    distances = {
-        identifier: float(np.linalg.norm(np.maximum(np.maximum(low - at, at - high), 0.0)))
-        for identifier, (low, high) in boxes.items()
-    }
-    far = tuple(one for one, distance in distances.items() if distance > reach)
+    distances = {name: _distance(box, model_T_base) for name, box in boxes.items()}
+    far = [name for name, distance in distances.items() if distance > reach]
     if len(far) == len(boxes):
         nearest = min(distances, key=lambda one: distances[one])
-        low = np.min([box[0] for box in boxes.values()], axis=0)
-        high = np.max([box[1] for box in boxes.values()], axis=0)
+        low, high = np.min(list(boxes.values()), axis=(0, 1)), np.max(list(boxes.values()), axis=(0, 1))
         said = f"all {len(boxes)} elements are out of the robot's reach of {reach:.2f} m: the nearest"
-        away = f"{distances[nearest]:.2f} m from its base at {_figures(at)}"
+        base_at = f"{distances[nearest]:.2f} m from its base at {_figures(model_T_base.position)}"
         stand = f"The elements stand at {_figures(low)} to {_figures(high)}."
-        raise PlacementError(f"{said}, {_named(model, (nearest,))}, is {away}. {stand}")
+        raise PlacementError(f"{said}, element {model.labels.get(nearest, nearest)}, is {base_at}. {stand}")
     if not far:
         return ()
-    most = max(distances[one] for one in far)
-    limits = f"up to {most:.2f} m from the base, reach {reach:.2f} m"
-    return (f"{_named(model, far)} out of reach whatever the arm does: {limits}.",)
+    called = first_few(model.labels.get(one, one) for one in far)
+    called = f"element {called}" if len(far) == 1 else f"{len(far)} elements ({called})"
+    limits = f"up to {max(distances.values()):.2f} m from the base, reach {reach:.2f} m"
+    return (f"{called} out of reach whatever the arm does: {limits}.",)
 
 
-def _box(element: Element) -> np.ndarray:
-    """Return the lowest and highest coordinates in the model, shape (2, 3)."""
-    vertices = np.concatenate([body.vertices for body in element.bodies])
-    pose = element.model_T_element
-    points = vertices @ pose.rotation.T + pose.position
-    return np.array([points.min(axis=0), points.max(axis=0)])
+def _distance(box: np.ndarray, model_T_base: Pose) -> float:
+    """Return how far a box in the model, shape (2, 3), is from the base's origin [m]."""
+    low, high = box - model_T_base.position
+    return float(np.linalg.norm(np.maximum(np.maximum(low, -high), 0.0)))
 
 
 def _figures(values: np.ndarray) -> str:
     return "(" + ", ".join(f"{value:.2f}" for value in values) + ") m"
 
 
-def _named(model: BuildingModel, ids: tuple[str, ...]) -> str:
-    if len(ids) == 1:
-        return f"element {model.labels.get(ids[0], ids[0])}"
-    return f"{len(ids)} elements ({first_few(model.labels.get(one, one) for one in ids)})"
-
-
-#: What is carried reaches further than the tool: half of the longest element that an arm carries, and something [m].
-_CARRIED = 5.0
-
-
-@dataclass(frozen=True, eq=False)
-class Standing:
-    """What stands.
-
-    Attributes:
-        pieces: Convex pieces of each element in its own frame, ``<GlobalId>/<number>``; for `site_scene.Layout`.
-        notes: One sentence for each element whose geometry is unusable: its box stands for it.
-    """
-
-    pieces: dict[str, tuple[SceneObject, ...]]
-    notes: tuple[str, ...]
-
-
-def standing(building: BuildingModel, made: Collection[str], site: Site, reach: float, folder: Path) -> Standing:
-    """Return what stands of a model within reach of the arm and what it carries.
+def standing(
+    building: BuildingModel, made: Collection[str], site: Site, reach: float, folder: Path
+) -> tuple[dict[str, tuple[SceneObject, ...]], list[str]]:
+    """Return what no task makes and the arm, or what it carries, can reach.
 
     Args:
-        reach: As of `check_placement`.
-        made: GlobalIds of the elements that tasks make; these, what they are parts of, and the element that stands for the base are
-            not among what stands.
-        folder: For mesh files, see `element_bodies.element_shapes`.
+        made: Ids of the elements that tasks make; what they are parts of stands no more than they do.
+
+    Returns:
+        Convex pieces of each element in its own frame, ``<GlobalId>/<number>``, and a sentence for each for which its box stands.
     """
-    base_T_model = inverse(site.model_T_base(building))
-    near = []
-    for element in standing_elements(building, made, site):
-        pose = product(base_T_model, element.model_T_element)
-        points = np.concatenate([body.vertices for body in element.bodies]) @ pose.rotation.T + pose.position
-        nearest = np.maximum(np.maximum(points.min(axis=0), -points.max(axis=0)), 0.0)
-        if not np.linalg.norm(nearest) > reach + _CARRIED:
-            near.append(element)
-    shapes, failures = element_shapes(near, folder)
+    # what exists stands, whatever new is a part of it
+    whole = {one for name in made for one in wholes(building.elements, name) if not building.elements[one].status}
+    left_out = {*made, *whole, *([site.base(building).id] if site.file.base_element else [])}
+    base, most = site.model_T_base(building), reach + _CARRIED
+    others = [one for one in building.elements.values() if one.bodies and one.id not in left_out]
+    shapes, failures = element_shapes([one for one in others if _distance(one.box, base) <= most], folder)
     said = "cannot be divided into bodies, its box is the obstacle, and the arm does not place it"
-    notes = tuple(f"{name} {said}: {failure}" for name, failure in failures.items())
+    notes = [f"{name} {said}: {failure}" for name, failure in failures.items()]
     boxes = {name: (box_of(building.element(name)),) for name in failures}
-    return Standing({name: shape.objects for name, shape in shapes.items()} | boxes, notes)
-
-
-def standing_elements(building: BuildingModel, made: Collection[str], site: Site) -> tuple[Element, ...]:
-    """Return the elements with bodies that no task makes, wherever they are; see `standing`."""
-    left_out = set(made)
-    for identifier in made:
-        above: list[str] = []
-        parent = building.element(identifier).assembly
-        while parent in building.elements and parent not in above:
-            above.append(parent)
-            parent = building.elements[parent].assembly
-        # what exists stands, whatever new is a part of it
-        left_out |= {one for one in above if not building.elements[one].status}
-    if site.file.base_element:
-        left_out.add(site.base(building).id)
-    return tuple(one for one in building.elements.values() if one.bodies and one.id not in left_out)
+    return {name: shape.objects for name, shape in shapes.items()} | boxes, notes
 
 
 if __name__ == "__main__":

@@ -34,12 +34,7 @@ def read_plans(path: Path, namespace: str | None = None) -> list[Plan]:
 
 
 def bag_parser(program: str, description: str, needs: str, suffix: str) -> argparse.ArgumentParser:
-    """Return the parser of such a command.
-
-    Args:
-        needs: The bag as its help calls it.
-        suffix: Behind the bag's name, the folder for the files where no other is said.
-    """
+    """Return the parser of such a command; `suffix`, behind the bag's name, is the folder for its files."""
     parser = argparse.ArgumentParser(prog=program, description=description)
     parser.add_argument("bag", type=Path, help=needs)
     parser.add_argument("--output", type=Path, metavar="DIR", help=f"folder for the files (default: BAG + {suffix})")
@@ -51,11 +46,7 @@ def bag_parser(program: str, description: str, needs: str, suffix: str) -> argpa
 def report_bag(
     program: str, options: argparse.Namespace, write: Callable[[Recording, Path, Console], Iterable[Path]]
 ) -> int:
-    """Read the bag that the options name, have files made of it, and print where they are.
-
-    Args:
-        write: Makes the files in a folder that can be written, prints what is to be read at once, and returns where they are.
-    """
+    """Read the bag that the options name, have `write` print what it finds and make files, and print where they are."""
     directory = options.output or options.bag.with_suffix("").with_name(options.bag.stem + options.suffix)
     console = table_console()
     try:

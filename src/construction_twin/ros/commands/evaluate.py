@@ -67,7 +67,6 @@ def _robot(options: argparse.Namespace, joint_names: tuple[str, ...]) -> RobotMo
 
 
 def _write_plans(options: argparse.Namespace, robot: RobotModel, directory: Path) -> tuple[Path, ...]:
-    """Write every plan in the bag as a CSV file; return where they are."""
     files: list[Path] = []
     for plan in read_plans(options.bag, options.robot):
         if plan.trajectory.joint_names != robot.joint_names:

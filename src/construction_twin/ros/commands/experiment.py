@@ -41,12 +41,7 @@ REST_TOLERANCE, REST_TIME = 1e-6, 0.5
 
 
 class RestDetector:
-    """Tells whether a pose has stayed within a band for some time.
-
-    Args:
-        tolerance: Half width of the band around the pose at which it began [rad], [m].
-        rest_time: [s]
-    """
+    """Tells whether a pose stayed for `rest_time` [s] within `tolerance` [rad], [m] of where it began."""
 
     def __init__(self, tolerance: float, rest_time: float):
         self._tolerance = tolerance
@@ -246,7 +241,6 @@ def main() -> int:
 
 
 def _new_directory(results: Path) -> Path:
-    """Make and return a new folder named after the present time."""
     name = time.strftime("%Y-%m-%d_%H-%M-%S")
     for suffix in ("", *(f"_{number}" for number in range(2, 100))):
         directory = results / (name + suffix)

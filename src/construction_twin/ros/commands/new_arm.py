@@ -27,6 +27,7 @@ from construction_twin.robot.description import ESTIMATES, RobotModel, load_robo
 from construction_twin.robot.new_robot import find_ends, new_description, robot_name, robot_yaml, with_home
 from construction_twin.robot.urdf import expand_xacro, read_text, xacro_arguments
 from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.scene import self_collision_command
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.home import Home, find_home
 from construction_twin.scene.objects import Scene
@@ -39,10 +40,9 @@ from construction_twin.scene.self_collision import (
     sample_self_collision,
     self_collision_yaml,
 )
-from construction_twin.scene.self_collision_command import progress, propose_hulls
 
 
-def launch_text(values: Mapping[str, str]) -> str:
+def launch_text(values: Mapping[str, str], make: str) -> str:
     """Return a launch file that starts everything for one arm; every other argument of bringup.launch can be given to it."""
     bringup = ElementTree.parse(share_folder() / "launch" / "bringup.launch")
     told = {arg.get("name"): arg.get("doc", "") for arg in bringup.iter("arg")}
@@ -56,6 +56,11 @@ def launch_text(values: Mapping[str, str]) -> str:
         ),
         "",
         '  <include file="$(find construction_twin)/launch/bringup.launch" pass_all_args="true"/>',
+        *(
+            f'  <param name="$(arg robot)/{node}/make" value={quoteattr(make)}/>'
+            for node in ("gateway", "mock_rsi")
+            if make != DEFAULT
+        ),
         "</launch>",
     ]
     return "\n".join([*lines, ""])
@@ -78,13 +83,7 @@ def summary(robot: RobotModel, home: Home) -> list[str]:
 
 
 def to_do(robot: RobotModel, files: Mapping[str, Path], to_fill: str, scene_left_out: str) -> list[str]:
-    """Return what a person must still fill in, one line each.
-
-    Args:
-        files: ``robot_config``, and ``ethernet_xml`` where the controller has such a file.
-        to_fill: What is missing in that one.
-        scene_left_out: Why the launch file starts without a scene; empty: it has one.
-    """
+    """Return what a person must still fill in; `scene_left_out`: why the launch file starts without a scene, or ""."""
     reasons = {
         "accelerations": "from the maker's data sheet or controller, with your load",
         "axes": "which of the controller's axes each joint is, and which way it counts: compare with the pendant",
@@ -115,6 +114,9 @@ _ATTEMPTS = 5
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the files of a new arm."""
     words = rospy.myargv(sys.argv)[1:] if arguments is None else list(arguments)
+    if words[:1] == ["self_collision"]:
+        self_collision_command.main(words[1:])
+        return 0
     options = _parser().parse_args(words)
     try:
         for line in _make(options, f"rosrun construction_twin new_arm {shlex.join(words)}"):
@@ -131,7 +133,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="new_arm",
         description="Write what an arm needs besides its URDF into one folder: robot YAML, the controller's file (RSI Ethernet "
-        "XML), self_collision and a launch file that starts everything; say what a person must still fill in.",
+        "XML), self_collision and a launch file that starts everything; say what a person must still fill in. "
+        "`new_arm self_collision` makes that file again.",
     )
     parser.add_argument("urdf", type=Path, help="URDF or xacro")
     parser.add_argument("--tip", default="", metavar="LINK", help="the tool's end of the arm [tool0]")
@@ -152,7 +155,6 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _make(options: argparse.Namespace, command: str) -> list[str]:
-    """Write the files; return what to say."""
     if not 0 < options.full_speed_in < float("inf") or options.samples < 1:
         raise ConfigurationError(
             "--full-speed-in, --samples", (options.full_speed_in, options.samples), "positive numbers"
@@ -190,10 +192,12 @@ def _make(options: argparse.Namespace, command: str) -> list[str]:
                 "robot": robot.name,
                 "robot_xacro": str(path),
                 "robot_xacro_args": options.xacro_args,
-                **{name: f"$(dirname)/{file.name}" for name, file in files.items() if name != "launch"},
-                **({"controller_make": make.name, "rsi_cycle": str(cycle)} if make.name != DEFAULT else {}),
+                "robot_config": f"$(dirname)/{files['robot_config'].name}",
+                "ethernet_xml": f"$(dirname)/{files['ethernet_xml'].name}" if make.file else "none",
+                **({"rsi_cycle": str(cycle)} if make.name != DEFAULT else {}),
                 "scene": "none" if left_out else "$(find construction_twin)/config/scene.yaml",
-            }
+            },
+            make.name,
         ),
     }
     for name, text in texts.items():
@@ -201,7 +205,7 @@ def _make(options: argparse.Namespace, command: str) -> list[str]:
     # what was written is read as everything else will read it
     read_self_collision(files["self_collision"], read_robot_files(path, files["robot_config"], options.xacro_args))
     lines = [*summary(robot, home), "written:", *(f"  {file}" for file in files.values())]
-    lines += propose_hulls(robot, folder / f"{robot.name}_hulls")
+    lines += self_collision_command.propose_hulls(robot, folder / f"{robot.name}_hulls")
     return [
         *lines,
         "start it with the mock:",
@@ -236,15 +240,11 @@ def _scene(robot: RobotModel, pairs: SelfCollision, floor: Scene) -> tuple[Scene
 def _settle(
     robot: RobotModel, description: dict[str, Any], home: Home, scene: Scene, samples: int
 ) -> tuple[RobotModel, dict[str, Any], SelfCollision, Home]:
-    """Sample the arm with its home, and seek another home while the pairs that this finds are in contact there.
-
-    Returns:
-        The arm with a home that its pairs leave free: its model, its YAML's content, the pairs, and that home.
-    """
+    """Sample the arm with its home, and seek another home while the pairs that this finds are in contact there."""
     for _ in range(_ATTEMPTS):
         description = with_home(description, home.q)
         robot = load_robot(robot.urdf, description)
-        pairs = sample_self_collision(robot, samples, SEED, progress(samples))
+        pairs = sample_self_collision(robot, samples, SEED, self_collision_command.progress(samples))
         world = CollisionWorld(robot, scene, pairs)
         if world.is_free(robot.home):
             measured = world.clearance(robot.home)

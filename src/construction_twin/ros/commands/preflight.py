@@ -1,8 +1,4 @@
-"""`preflight`: whether a start can work, before anything starts: each obstacle in one sentence, or "ok".
-
-It reads a launch file as roslaunch does, and has each node of this package check the parameters that it would get. It changes
-nothing.
-"""
+"""`preflight`: has each node check what a launch file would give it, before anything starts; changes nothing."""
 
 from __future__ import annotations
 
@@ -59,15 +55,18 @@ def _broker(words: list[str], _parameters: LaunchParameters) -> None:
     broker.check(options.config, options.port, options.accounts)
 
 
+def _experiment(words: list[str], parameters: LaunchParameters) -> None:
+    job = extension("work.commands.build") if words == ["build"] else scenario if words == ["scenario"] else experiment
+    job.checked(parameters)
+
+
 #: What a program is checked by that is no `NodeShell`'s, or that an argument asks an extension for; takes its words and parameters.
 PROGRAMS: dict[str, Callable[[list[str], LaunchParameters], object]] = {
     "broker": _broker,
     "console": lambda words, _parameters: extension("console.program").check(words),
     "rsi_gateway": rsi_gateway.checked,
-    "experiment": lambda _words, parameters: experiment.checked(parameters),
-    "scenario": lambda _words, parameters: scenario.checked(parameters),
+    "experiment": _experiment,
     "work": lambda _words, parameters: extension("work.nodes.work").NODE.checked(parameters),
-    "build": lambda _words, parameters: extension("work.commands.build").checked(parameters),
 }
 #: Programs that only show something, and the example of a PLC.
 _UNCHECKED = ("view", "plc")

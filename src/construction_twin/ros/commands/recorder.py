@@ -16,14 +16,9 @@ from construction_twin.core.errors import ConstructionTwinError
 
 
 class Recorder:
-    """Records topics into one bag while the ``with`` block runs, or until `stop`.
+    """Records topics, by resolved names, into one bag while the ``with`` block runs, or until `stop`.
 
     It stays in the caller's process group, so that whatever ends the node (roslaunch, a terminal's Ctrl-C) ends it too.
-
-    Args:
-        path: The bag; ``.bag.active`` until it is closed.
-        topics: Resolved names.
-        name: Node name of the recorder, resolved.
     """
 
     def __init__(self, path: Path, topics: Sequence[str], name: str):
@@ -46,10 +41,9 @@ class Recorder:
         self._end(signal.SIGINT)
 
     def connected(self) -> bool:
-        """Return whether the recorder subscribes to every topic and every publisher of one sends to it.
+        """Return whether every publisher of the topics sends to the recorder.
 
-        The publishers are asked, not the recorder: it counts a connection before the publisher has taken it up, which on a
-        busy machine can cost the first second of the recording.
+        They are asked: the recorder counts a connection before the publisher has taken it up, up to a second on a busy machine.
         """
         if self._process.poll() is not None:
             raise ConstructionTwinError(
@@ -64,7 +58,6 @@ class Recorder:
             return False  # a node is still registering, or just left
 
     def _sent_by(self, nodes: set[str]) -> set[tuple[str, str]]:
-        """Return the pairs of topic and node of what these nodes send to the recorder."""
         sent = set()
         for node in nodes:
             answer: Any = xmlrpc.client.ServerProxy(self._master.lookupNode(node)).getBusInfo(self._name)

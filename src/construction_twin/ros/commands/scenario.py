@@ -57,6 +57,7 @@ from construction_twin.scenario.definition import STATES, Injection, Move, Scena
 from construction_twin.scenario.judge import Judgement, judge
 from construction_twin.scenario.timeline import Change, GatewayStop, Run, SyncMoment
 from construction_twin.srv import InjectFault, PlanToJoints, ReviewPlan
+from construction_twin.views.texts import READY
 
 
 def print_verdict(verdict: Judgement, console: Console) -> None:
@@ -128,8 +129,7 @@ class ScenarioDriver:
 
     def wait_until_ready(self) -> None:
         """Wait until a plan could be started."""
-        ready = {"link": "ARMED", "sync": "IN_SYNC", "execution": "IDLE"}
-        self._wait(lambda: all(self.now(t) == s for t, s in ready.items()), f"{ready}", time.monotonic() + _READY)
+        self._wait(lambda: all(self.now(t) == s for t, s in READY.items()), f"{READY}", time.monotonic() + _READY)
         for service in ("plan_to_joints", "mock_rsi/inject"):
             rospy.wait_for_service(service, _READY)
 
@@ -322,12 +322,7 @@ def run_scenario(settings: ScenarioSettings, content: dict, console: Console) ->
 
 
 def read_run(folder: Path, namespace: str | None = None) -> Run:
-    """Read a recorded run.
-
-    Args:
-        folder: Holds the bag and the driver's notes.
-        namespace: The robot's; default: that of the only robot in the bag.
-    """
+    """Read a recorded run from the folder of bag and notes; `namespace` None: of the only robot in the bag."""
     path = folder / BAG
     recording = read_recording(path, namespace)
     prefix = recording.robot.rstrip("/")
@@ -380,7 +375,6 @@ def _outcomes(messages: list) -> Iterator[Change]:
 
 
 def _faults(reports: list[dict]) -> Iterator[Change]:
-    """Return which faults began and ended, by name, and the controller sessions that began."""
     before: set[str] = set()
     session = reports[0]["session"]
     for report in reports:

@@ -1,7 +1,4 @@
-"""The command `twin`: plan, review and watch one robot from a terminal. `twin_line` reads its options.
-
-What only one step needs is imported in that step: nobody who calls `twin stop` waits for libraries that plan or draw.
-"""
+"""The command `twin`, whose options `twin_line` reads. A step imports what it alone needs: `twin stop` loads no planner."""
 
 from __future__ import annotations
 
@@ -106,6 +103,22 @@ class Command:
             print(f"plan {plan.id}: {len(plan.trajectory.times)} waypoints in {options.file}")
         return Exit.DONE
 
+    def _gateway(self) -> Exit:
+        from construction_twin.ros.shared.gateway_config import config_from_parameters
+
+        config = config_from_parameters(f"{self._namespace}/")
+        layout, make = config.layout, config.make
+        if write_or_print(self._options.file, config.to_json()):
+            tool = f"tool {config.tool.name}, {', '.join(make.tool_channels(layout))}" if config.tool else "no tool"
+            kept = (
+                f"; not filled, so they stay as they are: {', '.join(layout.not_filled)}" if layout.not_filled else ""
+            )
+            print(
+                f"{self._options.file}: configuration {config.hash[:12]} of {config.robot}, {config.decimals} decimals; "
+                f"{make.words.protocol} on UDP port {layout.port}, {layout.summary}; {tool}{kept}"
+            )
+        return Exit.DONE
+
     def _preview(self) -> Exit:
         return _print(self._client.preview(self._options.speed))
 
@@ -117,11 +130,7 @@ class Command:
         return self._approve(*work.plan_under_review())
 
     def _approve(self, expected: str = "", with_names: Callable[[str], str] = str) -> Exit:
-        """Approve the plan under review; refuse another one than `expected`, if that is given.
-
-        Args:
-            with_names: Puts names in place of ids in what is printed.
-        """
+        """Approve the plan under review, no other than `expected`; `with_names` puts names in place of ids in what is printed."""
         options = self._options
         listener = self._listener()
         plan = self._under_review(listener)
@@ -224,11 +233,7 @@ class Command:
         return plan
 
     def _await_latched(self, listener: RobotListener) -> None:
-        """Wait for the latched messages that were published before this process began, where they are published.
-
-        What is latched comes with the connection, and the connection comes a moment after this process began: on a busy machine
-        after seconds. Without a plan there is no verdict to wait for.
-        """
+        """Wait for what was latched before this process began, where it is published: a connection may take seconds."""
         patience = min(LATCHED, self._options.timeout)
         for name in ("link", "plan", "review"):
             if name == "review" and listener.newest("plan") is None:
@@ -271,7 +276,6 @@ class Command:
         return _print(self._client.review(request))
 
     def _wait(self, listener: RobotListener, plan: Plan) -> Exit:
-        """Wait for the motion's end, print it, and return its exit code."""
         seen = []
 
         def over() -> bool:

@@ -1,5 +1,1 @@
-"""Conversion between ROS messages and the library's records, in both directions, without any logic.
-
-In: messages, or records. Out: the other of the two, or a typed error for a message that does not fit. May import the library
-and ``ros.transport``.
-"""
+"""Conversions between ROS messages and the library's values. No parameters, no clock."""

@@ -1,7 +1,4 @@
-"""Conversions between ROS messages and the library's values, one direction per function; no parameters, no clock.
-
-Numbers are converted without loss: float64 fields unchanged, times as whole nanoseconds.
-"""
+"""Trajectories, plans, segments and poses as messages, and back; without loss."""
 
 from __future__ import annotations
 
@@ -32,6 +29,9 @@ from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.scene_convert import object_from_msg, object_to_msg
 from construction_twin.scene.scene_change import SceneChange
 
+#: What a plan and its message have alike.
+_ALIKE = ("id", "hash", "source", "planner", "scene", "planning_time", "task")
+
 
 def trajectory_to_msg(trajectory: Trajectory) -> JointTrajectory:
     """Return the message; its header is left empty: a trajectory has no start time of its own."""
@@ -51,11 +51,7 @@ def trajectory_to_msg(trajectory: Trajectory) -> JointTrajectory:
 
 
 def trajectory_from_msg(msg: JointTrajectory) -> Trajectory:
-    """Return the trajectory.
-
-    Raises:
-        TrajectoryError: If the message is not a trajectory, or velocities or accelerations are missing.
-    """
+    """Return the trajectory; TrajectoryError where it is none, or has no velocities or accelerations."""
     return Trajectory(
         joint_names=tuple(msg.joint_names),
         times=np.array([point.time_from_start.to_nsec() / NANOSECONDS for point in msg.points]),
@@ -69,21 +65,15 @@ def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray, changes: Seque
     """Return the message.
 
     Args:
-        frame_id: tf frame that is the robot's base: of `tool_path` and of the clearance's point.
-        tool_path: Shape (k, 3). Position of the tool at the waypoints [m].
-        changes: Of a work plan: what each of its segments does to the scene, for displays. Default: not told.
+        frame_id: tf frame of the robot's base, which `tool_path`, shape (k, 3) [m], is in.
+        changes: What each segment of a work plan does to the scene, for displays.
     """
     clearance, usage = plan.report.clearance, plan.report.usage
     told = changes or [SceneChange()] * len(plan.segments)
     msg = PlanMsg(
+        **{name: getattr(plan, name) for name in _ALIKE},
         asked=str(plan.asked),
-        id=plan.id,
-        hash=plan.hash,
-        source=plan.source,
-        planner=plan.planner,
-        scene=plan.scene,
         duration=plan.trajectory.duration,
-        planning_time=plan.planning_time,
         recheck_time=plan.report.recheck_time,
         trajectory=trajectory_to_msg(plan.trajectory),
         tool_path=[Point(*position) for position in np.asarray(tool_path).tolist()],
@@ -94,7 +84,6 @@ def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray, changes: Seque
         velocity_use=list(usage.velocity),
         acceleration_use=list(usage.acceleration),
         jerk_use=list(usage.jerk),
-        task=plan.task,
         segments=[segment_to_msg(segment, change) for segment, change in zip(plan.segments, told, strict=True)],
     )
     msg.header.frame_id = frame_id
@@ -102,32 +91,18 @@ def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray, changes: Seque
 
 
 def plan_from_msg(msg: PlanMsg) -> Plan:
-    """Return the plan.
-
-    Raises:
-        TrajectoryError: If its trajectory or its hash is invalid, or a measurement is not a number.
-        PayloadError: ``moment``, of when it was asked for.
-    """
+    """Return the plan; TrajectoryError or PayloadError where its trajectory, hash, measurements or moment are none."""
     return Plan(
-        id=msg.id,
-        hash=msg.hash,
-        source=msg.source,
-        planner=msg.planner,
-        scene=msg.scene,
+        **{name: getattr(msg, name) for name in _ALIKE},
         asked=parse_moment(msg.asked),
-        planning_time=msg.planning_time,
         trajectory=trajectory_from_msg(msg.trajectory),
         report=_report_from_msg(msg),
-        task=msg.task,
         segments=tuple(from_msg(Segment, segment) for segment in msg.segments),
     )
 
 
 def segment_to_msg(segment: Segment, change: SceneChange = SceneChange()) -> SegmentMsg:
-    """Return the message; `change` is what makes of its scene the one after it.
-
-    Back, `records.from_msg` gives the segment and `change_from_msg` the change.
-    """
+    """Return the message; `change` is what makes of its scene the one after it."""
     msg = to_msg(segment, SegmentMsg)
     _add_change(msg, change)
     return msg
@@ -147,12 +122,7 @@ def work_segment_to_msg(segment: WorkSegment) -> WorkSegmentMsg:
 
 
 def work_segment_from_msg(msg: WorkSegmentMsg) -> WorkSegment:
-    """Return the segment.
-
-    Raises:
-        TrajectoryError: If it is not a trajectory with velocities and accelerations.
-        SceneError: If an object does not describe one.
-    """
+    """Return the segment; TrajectoryError or SceneError where it is none."""
     return WorkSegment(
         msg.name,
         trajectory_from_msg(msg.trajectory),
@@ -168,11 +138,7 @@ def _add_change(msg: SegmentMsg | WorkSegmentMsg, change: SceneChange) -> None:
 
 
 def change_from_msg(msg: SegmentMsg | WorkSegmentMsg) -> SceneChange:
-    """Return what a segment does to the scene.
-
-    Raises:
-        SceneError: If an object does not describe one.
-    """
+    """Return what a segment does to the scene; SceneError where an object is none."""
     return SceneChange(tuple(map(object_from_msg, msg.put)), tuple(msg.remove))
 
 
@@ -193,11 +159,7 @@ def _report_from_msg(msg: PlanMsg) -> PlanReport:
 
 
 def pose_from_msg(msg: PoseMsg) -> Pose:
-    """Return the pose.
-
-    Raises:
-        KinematicsError: If the orientation is not a unit quaternion within 1e-3.
-    """
+    """Return the pose; KinematicsError where its orientation is no unit quaternion within 1e-3."""
     return Pose(_vector(msg.position), quaternion_to_rotation(_quaternion(msg.orientation)))
 
 

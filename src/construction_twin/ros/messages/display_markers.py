@@ -77,11 +77,6 @@ HEIGHT, WIDTH, SPACING, BEHIND, BESIDE, TALLEST = 0.36, 0.045, 0.15, 0.3, 0.1, 1
 REHEARSAL_TEXT, REHEARSAL_ROOM, CONTACT_SIZE, MOST_REASONS = 0.075, 0.07, 0.09, 3
 
 
-def all_gone(namespace: str) -> Marker:
-    """Return the removal of all markers of a topic."""
-    return Marker(ns=namespace, action=Marker.DELETEALL)
-
-
 # -- the physical arm in the colour of the gate's state
 
 
@@ -123,12 +118,7 @@ def headline_height(chain: Chain) -> float:
 
 
 def headline_marker(state: SyncState, reason: str, worst: str, frame: str, height: float) -> Marker:
-    """Return the text over the physical arm, in its base's frame, or its removal while twin and arm are in sync.
-
-    Args:
-        reason: What `hold_cause` says, or `Sync.reason` where it says nothing.
-        worst: Of `worst_joint`; may be empty.
-    """
+    """Return the text over the physical arm, in its base's frame, or its removal while twin and arm are in sync."""
     marker = _text("", frame, 0, (TEXT_FORWARD, 0.0, height), DARK_RED, "why", HEADLINE_SIZE)
     marker.action, marker.frame_locked = Marker.DELETE, True
     if state is not SyncState.IN_SYNC:
@@ -164,12 +154,9 @@ def plan_markers(
     changes: Sequence[SceneChange] = (),
     states: WorkStates | None = None,
 ) -> list[Marker]:
-    """Return a plan's markers in the base's frame: tool path, closest point, and a text above all that moves.
+    """Return a plan's markers in the base's frame: tool path, closest point, and a text clear of what moves and of the headline.
 
-    Args:
-        headline: Of `headline_height`: the text keeps clear of that one.
-        changes: What a work plan's segments do to the scene, as told with them.
-        states: Of a work plan: then its segments are drawn, and what is carried and placed.
+    `states`: of a work plan, whose segments are drawn then, with what is carried and placed.
     """
     trajectory, clearance = plan.trajectory, plan.report.clearance
     points = min(max(math.ceil(trajectory.duration / PATH_SPACING) + 1, 2), PATH_POINTS)
@@ -247,13 +234,7 @@ def rehearsal_markers(
 ) -> list[Marker]:
     """Return the arm at the worst moment, a column per axis with its largest torque, where bodies touched, and how it ended.
 
-    Torques stand in columns, because rviz has no body that always faces whoever looks: a column shows its height from every side.
-
-    Args:
-        shapes: Of `visual_markers`.
-        link_pose: Returns a link's pose in the base_link, for joint values of shape (n,).
-        arm_length: Of the stretched arm [m]: what the columns are measured by.
-        carried: What the arm carries at `worst_time`, each in its link.
+    Torques stand in columns, which show their height from every side. `carried`: what the arm carries then, each in its link.
     """
     markers = _ghost(report, shapes, link_pose, carried[:MOST_BODIES], frame) if report.worst_pose else []
     top, aside = HEIGHT * arm_length, 0.0

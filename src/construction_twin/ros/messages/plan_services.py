@@ -1,7 +1,4 @@
-"""The services that make plans, by the kind of `GoalRequest`: one table for consoles, the command line and the marker in rviz.
-
-A field of a request reaches the service's field of the same name; only a goal has other forms there.
-"""
+"""The services that make plans, by the kind of `GoalRequest`, for consoles, the command line and the marker in rviz."""
 
 from __future__ import annotations
 
@@ -30,11 +27,7 @@ def request_fields(kind: Any, record: object, **further: object) -> dict[str, ob
 
 @dataclass(frozen=True)
 class PlanService:
-    """A service that makes plans.
-
-    Attributes:
-        goal: Returns the fields that are not called, or not formed, as those of the request.
-    """
+    """A service that makes plans; `goal` returns the fields that have another name or form there."""
 
     name: str
     kind: Any

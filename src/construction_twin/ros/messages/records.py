@@ -1,9 +1,7 @@
-"""A record and its ROS message, field by field: one converter for both directions. No parameters, no clock.
+"""A record and its ROS message, field by field by their names: one converter for both directions.
 
-A field of a record has the name of the message's field; `stamp` is also that of the message's header. Times are whole ns, arrays
-are tuples, arrays of key and value are mappings, enumerations go by their numbers, and records may hold records. Fields that only
-one of the two has are left alone: records drop what nobody reads, and both keep their defaults. A message with a field `said`
-carries what another language needs of the sentences in it (`core.sentences.told`), as JSON.
+Times are whole ns, arrays of key and value are mappings; fields that only one of the two has keep their defaults. A message with a
+field `said` carries what another language needs of the sentences in it (`core.sentences.told`), as JSON.
 """
 
 from __future__ import annotations
@@ -26,12 +24,7 @@ _Record = TypeVar("_Record")
 
 
 def from_msg(kind: type[_Record], message: genpy.Message) -> _Record:
-    """Return the record of a message.
-
-    Raises:
-        ValueError: For the number of an enumeration that there is not.
-        Exception: What the record itself raises for values that it refuses.
-    """
+    """Return the record of a message; ValueError, or what the record raises, for values that there are not."""
     return _record(kind, message, _sentences_of(message))
 
 

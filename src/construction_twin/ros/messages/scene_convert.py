@@ -1,7 +1,4 @@
-"""Conversions between the scene's messages and its values, and the scene as rviz markers; no parameters, no clock.
-
-Numbers are converted without loss, so a scene has the same hash on both sides.
-"""
+"""The scene as messages, without loss, so that it has one hash on both sides; and as rviz markers."""
 
 from __future__ import annotations
 
@@ -18,6 +15,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.msg import SceneObject as ObjectMsg
 from construction_twin.robot.frames import rotation_to_quaternion
+from construction_twin.ros.messages.records import to_msg
 from construction_twin.scene.objects import Scene, SceneObject
 
 #: Colours r, g, b, a in rviz: contacts are the most visible, fixed objects (the floor) the least.
@@ -31,24 +29,13 @@ SHAPES = {"box": Marker.CUBE, "cylinder": Marker.CYLINDER, "sphere": Marker.SPHE
 
 def object_to_msg(item: SceneObject) -> ObjectMsg:
     """Return the message."""
-    return ObjectMsg(
-        name=item.name,
-        shape=item.shape,
-        size=list(item.size),
-        mesh=item.mesh,
-        pose=PoseMsg(Point(*item.position), Quaternion(*item.quaternion)),
-        padding=item.padding,
-        link=item.link,
-        touch=list(item.touch),
-    )
+    message = to_msg(item, ObjectMsg)
+    message.pose = PoseMsg(Point(*item.position), Quaternion(*item.quaternion))
+    return message
 
 
 def object_from_msg(msg: ObjectMsg) -> SceneObject:
-    """Return the object; it is not a fixed one.
-
-    Raises:
-        SceneError: If the message does not describe one.
-    """
+    """Return the object, not a fixed one; SceneError where it is none."""
     position, orientation = msg.pose.position, msg.pose.orientation
     return SceneObject(
         name=msg.name,
@@ -72,12 +59,7 @@ def scene_to_msg(scene: Scene, stamp: genpy.Time, frame_id: str) -> SceneMsg:
 
 
 def scene_from_msg(msg: SceneMsg) -> Scene:
-    """Return the scene.
-
-    Raises:
-        SceneError: If the message does not describe one, or its hash is another scene's: then a mesh file differs between the two
-            machines or has changed.
-    """
+    """Return the scene; SceneError where it is none, or its hash another one's: then a mesh file differs between two machines."""
     scene = Scene(tuple(map(object_from_msg, msg.objects)), msg.padding)
     if scene.hash != msg.hash:
         raise SceneError(
@@ -89,14 +71,7 @@ def scene_from_msg(msg: SceneMsg) -> Scene:
 def scene_markers(
     scene: Scene, gone: Iterable[str], touching: Collection[str], base_link: str, tf_prefix: str
 ) -> MarkerArray:
-    """Return the scene for rviz: one marker per object, in a namespace of its name.
-
-    Args:
-        gone: Objects that were shown before and are not in the scene any more.
-        touching: Objects to show as in contact.
-        base_link: Frame of what stands in the world, without prefix.
-        tf_prefix: Of the twin's frames, without a slash at its end; may be empty.
-    """
+    """Return one marker per object, in a namespace of its name, and the removal of what is `gone`."""
     markers = [_marker(item, item.name in touching, base_link, tf_prefix) for item in scene.objects]
     markers += [Marker(ns=name, action=Marker.DELETE) for name in gone]
     return MarkerArray(markers)
@@ -108,13 +83,7 @@ def tf_frame(tf_prefix: str, link: str) -> str:
 
 
 def body_marker(item: SceneObject, frame_id: str, colour: tuple[float, ...], pose: Pose | None = None) -> Marker:
-    """Return an object's shape for rviz, in a namespace of its name.
-
-    Args:
-        frame_id: tf frame that it moves with.
-        colour: Length 4. r, g, b, a.
-        pose: In that frame. Default: the object's own.
-    """
+    """Return an object's shape for rviz, at its own pose by default, in a namespace of its name."""
     marker = Marker(ns=item.name, type=SHAPES[item.shape], action=Marker.ADD, frame_locked=True)
     marker.header.frame_id = frame_id
     position, quaternion = item.position, item.quaternion

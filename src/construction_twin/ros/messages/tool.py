@@ -16,11 +16,7 @@ from construction_twin.ros.transport.joint_stream import to_time
 
 
 def tool_report_from_msg(msg: ToolState) -> ToolReport:
-    """Return the report.
-
-    Raises:
-        PayloadError: ``tool``, when lists that belong together differ in length, or a switch's state is unknown.
-    """
+    """Return the report; PayloadError where lists that belong together differ in length, or a state is unknown."""
     together = (
         ("inputs", msg.inputs, msg.input_values),
         ("outputs", msg.outputs, msg.output_values),

@@ -1,9 +1,7 @@
 """display: what people look at, and poses at a low rate for those who need no 250 Hz. Nothing waits for it.
 
-`velocities/joint_states` is the twin's pose with velocities, which joint_state_publisher reads for `joint_states`. Of a twin with
-mass that is the commanded pose: MoveIt starts from it, and goals in a link's frame are looked up in the tf made of it, by way of
-`shown/twin`. The other trees of tf are made here: physical arm, the ghost that plays a plan (`preview/joint_states`), and, where
-there are such, the simulated and the expected arm. Markers: the plan under review and its rehearsal, and the monitor's state.
+Of a twin with mass `velocities/joint_states`, and so `joint_states` and tf, have the commanded pose: goals are looked up there. The
+trees of tf of arm, ghost, simulated and expected arm are made here.
 """
 
 from __future__ import annotations
@@ -38,21 +36,8 @@ from construction_twin.ros.messages.display_markers import (
 )
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import tf_frame
+from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.node_shell import (
-    Every,
-    Interface,
-    NodeShell,
-    Ports,
-    PosePublication,
-    PoseSubscription,
-    Publication,
-    Served,
-    Shared,
-    SharedParameter,
-    Subscription,
-    has_arm,
-)
 from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.plan_display import PlanDisplay
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
@@ -77,10 +62,12 @@ STILL = 1e-5
 _JUMP = 1.1
 
 Shown = TypeVar("Shown")
+#: Trees of tf that are made here, besides the twin's.
+TREES = ("physical", "preview", "simulated", "expected")
 
 
 class Settings(PrivateSettings):
-    """Private parameters, given in launch/twin.launch: launch arguments of these names."""
+    """Private parameters, given in launch/bringup.launch: launch arguments of these names."""
 
     arm: Literal["mock", "real", "none"]
     twin: Literal["kinematic", "mujoco", "gazebo"]
@@ -94,7 +81,7 @@ def is_simulated(settings: Settings) -> bool:
 
 def knows_servos(settings: Settings) -> bool:
     """Return whether the monitor says where the servos should have the arm."""
-    return bool(settings.servo_model) and has_arm(settings)
+    return bool(settings.servo_model) and shell.has_arm(settings)
 
 
 class ShownPoses(Generic[Shown]):
@@ -122,11 +109,7 @@ class ShownPoses(Generic[Shown]):
 
 
 class JointVelocities:
-    """Velocities of a chain's joints.
-
-    Args:
-        largest: Length n. The joints' speed limits [rad/s], [m/s].
-    """
+    """Velocities of a chain's joints; `largest`: their speed limits [rad/s], [m/s]."""
 
     def __init__(self, largest: Sequence[float]):
         self._largest = tuple(_JUMP * velocity for velocity in largest)
@@ -134,11 +117,7 @@ class JointVelocities:
         self._last: tuple[int, tuple[float, ...]] | None = None
 
     def of(self, stamp: int, q: tuple[float, ...]) -> tuple[float, ...]:
-        """Return the mean velocities since the pose of the last call, shape (n,) [rad/s], [m/s].
-
-        0 for the first pose, for a stamp that is not newer, and for a pose that no joint could have moved to since: the twin took
-        the arm's pose over.
-        """
+        """Return the mean velocities since the last pose [rad/s], [m/s]; 0 without a newer stamp, or after a jump."""
         before, self._last = self._last, (stamp, q)
         if before is None or stamp <= before[0]:
             return self._rest
@@ -150,11 +129,7 @@ class JointVelocities:
 
 
 class RobotFrames:
-    """The frames of a robot's copies, below a prefix each.
-
-    Args:
-        place: Where the URDF's root stands in ``world``.
-    """
+    """The frames of a robot's copies, below a prefix each; the URDF's root stands at `place` in ``world``."""
 
     def __init__(self, robot: RobotModel, place: Pose):
         model = parse_urdf(robot.urdf)
@@ -209,7 +184,7 @@ def _transform(parent: str, child: str, place: PyKDL.Frame, stamp: genpy.Time) -
 class DisplayNode:
     """Poses, trees of tf and the picture of the monitor's state; the plan is a `PlanDisplay`'s."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
         self._robot = robot
         self._publishers, self._diagnostics = ports.publishers, ports.diagnostics
         self._shapes = visual_markers(robot.urdf)
@@ -225,7 +200,7 @@ class DisplayNode:
         self._heard = self._next = 0.0
         self._silent = False
         self._twin_shown: ShownPoses[JointState] = ShownPoses()
-        self._poses_shown = {tree: ShownPoses[tuple[int, tuple[float, ...]]]() for tree in ("physical", "preview")}
+        self._poses_shown = {tree: ShownPoses[tuple[int, tuple[float, ...]]]() for tree in TREES}
         cell = ports.parameters["cell"]
         place = Pose(np.zeros(3), np.eye(3)) if cell is None else load_cell(cell).world_T_root(robot.name)
         self._frames = RobotFrames(robot, place)
@@ -236,13 +211,13 @@ class DisplayNode:
 
     def _publish_static_frames(self, settings: Settings) -> None:
         now = to_time(now_ns())
-        trees = ["preview", *(["physical"] if has_arm(settings) else [])]
+        trees = ["preview", *(["physical"] if shell.has_arm(settings) else [])]
         trees += ["simulated"] if is_simulated(settings) else []
         trees += ["expected"] if knows_servos(settings) else []
         transforms = self._frames.of_the_twin(self._prefix("twin"), now)
         for tree in trees:
             transforms += self._frames.still(self._prefix(tree), now)
-        if not has_arm(settings):
+        if not shell.has_arm(settings):
             # the root alone: nothing below it would move, and the links at its end would be a tree of their own
             transforms += self._frames.of_the_twin(self._prefix("physical"), now)
         self._publishers["/tf_static"].publish(TFMessage(transforms))
@@ -268,23 +243,8 @@ class DisplayNode:
             self._publishers["shown/twin"].publish(shown)
         time.sleep(FRAME_PERIOD)
 
-    def on_physical(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Show the physical arm."""
-        self._show("physical", stamp, q)
-
-    def on_simulated(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Show where an arm with mass would be."""
-        self._publish_frames("simulated", stamp, q)
-
-    def on_expected(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Show where the servos should have the arm."""
-        self._publish_frames("expected", stamp, q)
-
     def move_ghost(self) -> None:
-        """Show where the ghost is now, and once that a silent twin is at rest.
-
-        Otherwise joint_state_publisher would repeat its last velocity with fresh stamps.
-        """
+        """Show where the ghost is, and once that a silent twin rests: joint_state_publisher would repeat its last velocity."""
         now = time.monotonic()
         with self._lock:
             twin = self._twin
@@ -293,7 +253,7 @@ class DisplayNode:
                 # the pose is known of its own time only
                 self._publish_twin(*twin, (0.0,) * len(twin[1]))
         pose = self.plan.ghost(now, None if twin is None else twin[1])
-        if pose is not None and (shown := self._show("preview", now_ns(), pose)) is not None:
+        if pose is not None and (shown := self.show("preview", now_ns(), pose)) is not None:
             self._publishers["preview/joint_states"].publish(*shown)
 
     def _publish_twin(self, stamp: int, q: tuple[float, ...], velocity: tuple[float, ...]) -> None:
@@ -301,8 +261,8 @@ class DisplayNode:
         message.header.stamp = to_time(stamp)
         self._publishers["velocities/joint_states"].publish(message)
 
-    def _show(self, tree: str, stamp: int, q: tuple[float, ...]) -> tuple[int, tuple[float, ...]] | None:
-        """Publish a pose in tf and return it, if it is its turn."""
+    def show(self, tree: str, stamp: int, q: tuple[float, ...]) -> tuple[int, tuple[float, ...]] | None:
+        """Publish a pose [rad] in a tree of tf and return it, if it is its turn."""
         shown = self._poses_shown[tree].take(time.monotonic(), (), q, (stamp, q))
         if shown is not None:
             self._publish_frames(tree, *shown)
@@ -352,50 +312,53 @@ class DisplayNode:
         return Report(OK, "shows twin, arm and plan", values)
 
 
-INTERFACE = Interface(
+def _shown_pose(topic: str, tree: str, when: shell.When) -> shell.PoseSubscription:
+    return shell.PoseSubscription(
+        topic, lambda node, *pose: node.show(tree, *pose), queue_size=1, pause=FRAME_PERIOD, when=when
+    )
+
+
+INTERFACE = shell.Interface(
     report=DisplayNode.report,
-    parameters=(SharedParameter("cell"),),
+    parameters=(shell.SharedParameter("cell"),),
     publishes=(
-        Publication("velocities/joint_states", JointState, queue_size=5),
-        Publication("shown/twin", JointState, queue_size=5),
-        PosePublication("preview/joint_states"),
-        Publication("/tf", TFMessage, queue_size=100, tcp_nodelay=True),
-        Publication("/tf_static", TFMessage, queue_size=100, latch=True),
-        Publication("plan_markers", MarkerArray, queue_size=2, latch=True),
-        Publication("rehearsal_markers", MarkerArray, queue_size=2, latch=True),
-        Publication("sync_markers", MarkerArray, queue_size=2, latch=True, when=has_arm),
+        shell.Publication("velocities/joint_states", JointState, queue_size=5),
+        shell.Publication("shown/twin", JointState, queue_size=5),
+        shell.PosePublication("preview/joint_states"),
+        shell.Publication("/tf", TFMessage, queue_size=100, tcp_nodelay=True),
+        shell.Publication("/tf_static", TFMessage, queue_size=100, latch=True),
+        shell.Publication("plan_markers", MarkerArray, queue_size=2, latch=True),
+        shell.Publication("sync_markers", MarkerArray, queue_size=2, latch=True, when=shell.has_arm),
     ),
     hears=(
-        PoseSubscription("twin/joint_states", DisplayNode.on_twin, queue_size=1),
-        Subscription("joint_states", JointState, DisplayNode.on_joints, queue_size=1),
-        PoseSubscription(
-            "physical/joint_states", DisplayNode.on_physical, queue_size=1, pause=FRAME_PERIOD, when=has_arm
+        shell.PoseSubscription("twin/joint_states", DisplayNode.on_twin, queue_size=1),
+        shell.Subscription("joint_states", JointState, DisplayNode.on_joints, queue_size=1),
+        _shown_pose("physical/joint_states", "physical", shell.has_arm),
+        _shown_pose("twin/effort", "simulated", is_simulated),
+        _shown_pose("expected/joint_states", "expected", knows_servos),
+        shell.Subscription("sync", Sync, DisplayNode.on_sync, queue_size=1, when=shell.has_arm),
+        shell.Subscription("hold", Hold, DisplayNode.on_hold, queue_size=1, when=shell.has_arm),
+        shell.Subscription("scene", Scene, lambda node, message: node.plan.on_scene(message), queue_size=1),
+        shell.Subscription("review", Review, lambda node, message: node.plan.on_review(message), queue_size=5),
+        shell.Subscription(
+            "execution", Execution, lambda node, message: node.plan.on_execution(message), queue_size=10
         ),
-        PoseSubscription("twin/effort", DisplayNode.on_simulated, queue_size=1, pause=FRAME_PERIOD, when=is_simulated),
-        PoseSubscription(
-            "expected/joint_states", DisplayNode.on_expected, queue_size=1, pause=FRAME_PERIOD, when=knows_servos
-        ),
-        Subscription("sync", Sync, DisplayNode.on_sync, queue_size=1, when=has_arm),
-        Subscription("hold", Hold, DisplayNode.on_hold, queue_size=1, when=has_arm),
-        Subscription("scene", Scene, lambda node, message: node.plan.on_scene(message), queue_size=1),
-        Subscription("review", Review, lambda node, message: node.plan.on_review(message), queue_size=5),
-        Subscription("execution", Execution, lambda node, message: node.plan.on_execution(message), queue_size=10),
-        Subscription("plan", Plan, lambda node, message: node.plan.on_plan(message), queue_size=2),
-        Subscription("rehearsal", Rehearsal, lambda node, message: node.plan.on_rehearsal(message), queue_size=2),
+        shell.Subscription("plan", Plan, lambda node, message: node.plan.on_plan(message), queue_size=2),
+        shell.Subscription("rehearsal", Rehearsal, lambda node, message: node.plan.on_rehearsal(message), queue_size=2),
     ),
-    serves=(Served("preview_plan", PreviewPlan, lambda node, request: node.plan.on_preview(request)),),
+    serves=(shell.Served("preview_plan", PreviewPlan, lambda node, request: node.plan.on_preview(request)),),
     every=(
-        Every(lambda _settings: FRAME_PERIOD, DisplayNode.move_ghost),
-        Every(lambda _settings: SYNC_PERIOD, DisplayNode.show_sync),
+        shell.Every(lambda _settings: FRAME_PERIOD, DisplayNode.move_ghost),
+        shell.Every(lambda _settings: SYNC_PERIOD, DisplayNode.show_sync),
     ),
 )
 
 
-def check(_settings: Settings, robot: RobotModel, shared: Shared) -> None:
+def check(_settings: Settings, robot: RobotModel, shared: shell.Shared) -> None:
     """Check that the robot has a place in the cell; see `NodeShell`."""
     if shared["cell"] is not None:
         load_cell(shared["cell"]).world_T_root(robot.name)
 
 
-NODE = NodeShell("display", Settings, DisplayNode, INTERFACE, check)
+NODE = shell.NodeShell("display", Settings, DisplayNode, INTERFACE, check)
 main = NODE.run

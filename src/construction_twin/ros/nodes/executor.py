@@ -1,8 +1,4 @@
-"""executor: plays the approved plan as `next/joint_states` at 250 Hz; serves `review_plan`, the stops, `pause`, `resume`.
-
-`~act_as_seen` stops, pauses and resumes for people at screens elsewhere. Of a work plan also `tool_command`, from what `tool` says;
-`engagement`, and the service `release_engagement`. What decides is in `execution`.
-"""
+"""executor: plays the approved plan as `next/joint_states` at 250 Hz. What decides is in `execution`."""
 
 from __future__ import annotations
 
@@ -41,20 +37,8 @@ from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.messages.records import from_msg, sentence_of, to_msg
 from construction_twin.ros.messages.tool import engagement_to_msg, order_to_msg, tool_report_from_msg
+from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, DeferredLog, Report
-from construction_twin.ros.shared.node_shell import (
-    Every,
-    Interface,
-    NodeShell,
-    Ports,
-    PosePublication,
-    PoseSubscription,
-    Publication,
-    Served,
-    Shared,
-    Subscription,
-    has_arm,
-)
 from construction_twin.ros.shared.params import NodeSettings, robot_file
 from construction_twin.ros.transport.cycle import Cycles
 from construction_twin.ros.transport.joint_stream import from_time, now_ns
@@ -72,7 +56,7 @@ _Result = TypeVar("_Result")
 
 
 class Settings(NodeSettings, Permission):
-    """Private parameters; see config/executor.yaml, the others are given in launch/gate.launch."""
+    """Private parameters; see config/executor.yaml, the others are given in launch/bringup.launch."""
 
     review_file: Annotated[str, pydantic.Field(min_length=1)]
     neighbour: str = ""
@@ -91,7 +75,7 @@ def _do(_what: str, part: Callable[..., _Result], *arguments: object) -> _Result
 class ExecutorNode:
     """ROS around an `Executor`, whose lock it holds for every use. A method for each of 18 topics and services."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
         self._robot, self._ports, self._diagnostics = robot, ports, ports.diagnostics
         self._log = ReviewLog(robot_file(settings.review_file, robot.name), time.time_ns)
         file = self._log.file.path
@@ -296,11 +280,7 @@ class ExecutorNode:
     # -- in the background
 
     def do_background_work(self) -> None:
-        """Do what may wait; to be called every `BACKGROUND_PERIOD`.
-
-        An error would end the timer for good: that of a record is said and tried again, no other can occur. Publishing fails only
-        while the node shuts down, where `Publisher` drops the message; a verdict that is refused ends in `Approval`.
-        """
+        """Do what may wait, every `BACKGROUND_PERIOD`; an error of a record is said and tried again."""
         self.write_records()
         # where a stop leaves the arm is written down here
         self.side_effects.run("the engagement", self.keep_engagement)
@@ -344,7 +324,7 @@ class ExecutorNode:
         self._publish("review", message)
 
     def _publish_changes(self) -> None:
-        """Publish and note what has changed; on the cycle's thread, so nothing here waits for a disk or a terminal.
+        """Publish and note what has changed, on the cycle's thread: nothing here waits for a disk or a terminal.
 
         From a safety act until it has been told, and the arm rests, no part of this can end the node.
         """
@@ -392,7 +372,7 @@ class ExecutorNode:
         return Report(WARN if self._news.waits else OK, f"{executor.state.name}: {executor.reason}", values)
 
 
-def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
+def check(settings: Settings, robot: RobotModel, *_: object) -> None:
     """Check permission and files; see `NodeShell`."""
     settings.check(robot)
     if settings.rehearsal == "require":
@@ -401,52 +381,52 @@ def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
     check_writable(robot_file(settings.review_file, robot.name).parent)
 
 
-INTERFACE = Interface(
+INTERFACE = shell.Interface(
     report=ExecutorNode.report,
     publishes=(
-        PosePublication("next/joint_states"),
-        Publication("execution", msg.Execution, queue_size=10, latch=True),
-        Publication("review", msg.Review, queue_size=10, latch=True),
+        shell.PosePublication("next/joint_states"),
+        shell.Publication("execution", msg.Execution, queue_size=10, latch=True),
+        shell.Publication("review", msg.Review, queue_size=10, latch=True),
         # not latched: a bridge that is started again must not take a switch that was meant for another moment
-        Publication("tool_command", msg.ToolCommand, queue_size=50, tcp_nodelay=True),
-        Publication("engagement", msg.Engagement, queue_size=5, latch=True),
+        shell.Publication("tool_command", msg.ToolCommand, queue_size=50, tcp_nodelay=True),
+        shell.Publication("engagement", msg.Engagement, queue_size=5, latch=True),
     ),
     hears=(
-        PoseSubscription("twin/joint_states", ExecutorNode.on_twin, queue_size=1, pause=TWIN_PAUSE),
-        Subscription("sync", msg.Sync, ExecutorNode.on_sync, queue_size=50, tcp_nodelay=True),
-        Subscription("scene", msg.Scene, ExecutorNode.on_scene, queue_size=5),
-        Subscription("plan", msg.Plan, ExecutorNode.on_plan, queue_size=5),
-        Subscription("rehearsal", msg.Rehearsal, ExecutorNode.on_rehearsal, queue_size=5),
-        Subscription(
+        shell.PoseSubscription("twin/joint_states", ExecutorNode.on_twin, queue_size=1, pause=TWIN_PAUSE),
+        shell.Subscription("sync", msg.Sync, ExecutorNode.on_sync, queue_size=50, tcp_nodelay=True),
+        shell.Subscription("scene", msg.Scene, ExecutorNode.on_scene, queue_size=5),
+        shell.Subscription("plan", msg.Plan, ExecutorNode.on_plan, queue_size=5),
+        shell.Subscription("rehearsal", msg.Rehearsal, ExecutorNode.on_rehearsal, queue_size=5),
+        shell.Subscription(
             "speed_limit_in_force", msg.SpeedLimitInForce, ExecutorNode.on_limit, queue_size=5, tcp_nodelay=True
         ),
-        Subscription(
+        shell.Subscription(
             "speed_change", msg.SpeedChange, lambda node, said: node.record(from_msg(SpeedChange, said)), queue_size=50
         ),
-        Subscription(
+        shell.Subscription(
             "conflict", msg.Conflict, ExecutorNode.on_conflict, queue_size=20, tcp_nodelay=True,
             when=lambda settings: bool(settings.neighbour),
         ),
-        Subscription("link", msg.Link, ExecutorNode.on_link, queue_size=5, when=has_arm),
-        Subscription(
+        shell.Subscription("link", msg.Link, ExecutorNode.on_link, queue_size=5, when=shell.has_arm),
+        shell.Subscription(
             "session_request",
             msg.SessionRequest,
             lambda node, said: node.record(from_msg(SessionRequest, said)),
             queue_size=10,
-            when=has_arm,
+            when=shell.has_arm,
         ),
-        Subscription("tool", msg.ToolState, ExecutorNode.on_tool, queue_size=20, tcp_nodelay=True, when=has_arm),
+        shell.Subscription("tool", msg.ToolState, ExecutorNode.on_tool, queue_size=20, tcp_nodelay=True, when=shell.has_arm),
     ),
     serves=(
-        Served("review_plan", srv.ReviewPlan, ExecutorNode.on_review, "review"),
-        Served("stop", Trigger, ExecutorNode.on_stop),
-        Served("stop_plan", srv.StopPlan, ExecutorNode.on_stop_plan, "stop_plan"),
-        Served("release_engagement", srv.ReleaseEngagement, ExecutorNode.on_release, "release_engagement"),
-        Served("pause", Trigger, ExecutorNode.on_pause, "pause"),
-        Served("resume", Trigger, ExecutorNode.on_resume, "resume"),
-        Served("~act_as_seen", srv.ActAsSeen, ExecutorNode.on_act_as_seen, lambda asked: asked.act),
+        shell.Served("review_plan", srv.ReviewPlan, ExecutorNode.on_review, "review"),
+        shell.Served("stop", Trigger, ExecutorNode.on_stop),
+        shell.Served("stop_plan", srv.StopPlan, ExecutorNode.on_stop_plan, "stop_plan"),
+        shell.Served("release_engagement", srv.ReleaseEngagement, ExecutorNode.on_release, "release_engagement"),
+        shell.Served("pause", Trigger, ExecutorNode.on_pause, "pause"),
+        shell.Served("resume", Trigger, ExecutorNode.on_resume, "resume"),
+        shell.Served("~act_as_seen", srv.ActAsSeen, ExecutorNode.on_act_as_seen, lambda asked: asked.act),
     ),
-    every=(Every(lambda _settings: BACKGROUND_PERIOD, ExecutorNode.do_background_work),),
+    every=(shell.Every(lambda _settings: BACKGROUND_PERIOD, ExecutorNode.do_background_work),),
 )  # fmt: skip
-NODE = NodeShell("executor", Settings, ExecutorNode, INTERFACE, check, fast=True)
+NODE = shell.NodeShell("executor", Settings, ExecutorNode, INTERFACE, check, fast=True)
 main = NODE.run

@@ -13,7 +13,6 @@ from queue import SimpleQueue
 
 import rospy
 from std_msgs.msg import String
-from std_srvs.srv import Trigger, TriggerRequest
 
 from construction_twin.core.errors import ConfigurationError, RequestRefused
 from construction_twin.core.units import to_wire
@@ -21,16 +20,8 @@ from construction_twin.mock.faults import KINDS, Fault
 from construction_twin.mock.network import MockRsi
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, gateway_address, joint_angles
 from construction_twin.robot.description import RobotModel
+from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
-from construction_twin.ros.shared.node_shell import (
-    Interface,
-    NodeShell,
-    Ports,
-    PosePublication,
-    Publication,
-    Served,
-    Shared,
-)
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.srv import InjectFault, InjectFaultRequest
@@ -51,7 +42,7 @@ class _Observed:
 class MockRsiNode:
     """ROS around a MockRsi. Its loop runs in the main thread and hands what is to be published to another one."""
 
-    def __init__(self, settings: MockSettings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: MockSettings, robot: RobotModel, ports: shell.Ports):
         self._settings = settings
         self._robot = robot
         self._controller = build_controller(self._settings, self._robot)
@@ -141,7 +132,6 @@ class MockRsiNode:
         }
 
     def _tool(self) -> dict | None:
-        """Return `$OUT` and `$IN` of the tool; None without one."""
         tool = self._controller.tool
         return None if tool is None else {"outputs": dict(tool.outputs), "inputs": dict(tool.inputs)}
 
@@ -165,15 +155,6 @@ class MockRsiNode:
             return Report(WARN, f"{running}, replies are refused: {refused}", values)
         return Report(OK, running, values)
 
-    def on_restart(self, _request: TriggerRequest) -> str:
-        """Start a new RSI session where the arm stands."""
-
-        def restart() -> str:
-            self._controller.restart()
-            return f"a new {self._controller.words.protocol} session starts where the arm stands"
-
-        return self._ask(restart)
-
     def on_inject(self, request: InjectFaultRequest) -> Outcome:
         """Switch a fault on or off."""
         faults = self._mock.faults
@@ -189,7 +170,6 @@ class MockRsiNode:
         return {"active": self._mock.faults.active}
 
     def _fault(self, request: InjectFaultRequest) -> Fault:
-        """Return the request in the controller's axes."""
         names, axes = self._robot.joint_names, self._robot.axes
         if request.joint and request.joint not in names:
             raise ConfigurationError(request.fault, request.joint, f"one of {', '.join(names)}")
@@ -211,20 +191,17 @@ class MockRsiNode:
         return done
 
 
-INTERFACE = Interface(
+INTERFACE = shell.Interface(
     report=MockRsiNode.report,
-    publishes=(PosePublication("~joint_states"), Publication("~status", String, queue_size=5, latch=True)),
-    serves=(
-        Served("~restart", Trigger, MockRsiNode.on_restart),
-        Served("~inject", InjectFault, MockRsiNode.on_inject, refused=MockRsiNode.active_faults),
-    ),
+    publishes=(shell.PosePublication("~joint_states"), shell.Publication("~status", String, queue_size=5, latch=True)),
+    serves=(shell.Served("~inject", InjectFault, MockRsiNode.on_inject, refused=MockRsiNode.active_faults),),
 )
 
 
-def check(settings: MockSettings, robot: RobotModel, _shared: Shared) -> None:
+def check(settings: MockSettings, robot: RobotModel, *_: object) -> None:
     """Check that there can be such a controller; see `NodeShell`."""
     build_controller(settings, robot)
 
 
-NODE = NodeShell("mock_rsi", MockSettings, MockRsiNode, INTERFACE, check)
+NODE = shell.NodeShell("mock_rsi", MockSettings, MockRsiNode, INTERFACE, check)
 main = NODE.run

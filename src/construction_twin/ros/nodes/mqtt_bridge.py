@@ -32,22 +32,10 @@ from construction_twin.msg import SessionRequest as SessionRequestMessage
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.tool import tool_report_to_msg
+from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import OK, WARN, DeferredLog, Report
 from construction_twin.ros.shared.gateway_config import config_of_link
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
-from construction_twin.ros.shared.node_shell import (
-    Every,
-    Interface,
-    NodeShell,
-    Ports,
-    PosePublication,
-    PoseSubscription,
-    Publication,
-    Served,
-    Shared,
-    SharedParameter,
-    Subscription,
-)
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.stop_memory import StopMemory
 from construction_twin.ros.transport.joint_stream import now_ns
@@ -75,12 +63,7 @@ class Settings(MqttSettings):
 class MqttBridge:
     """ROS and MQTT around a `Bridge`: a method for each topic and service of either side.
 
-    `_lock` guards the `Bridge`; nothing is sent while it is held. Its times are monotonic: a wall clock that is set must not make a
-    gateway look alive, or an arm at rest.
-
-    Args:
-        config: As the gateway should run it.
-        client: Not connected yet.
+    `_lock` guards the `Bridge`; nothing is sent while it is held. Its times are monotonic.
     """
 
     def __init__(
@@ -91,7 +74,7 @@ class MqttBridge:
         codec: JointStringCodec,
         broker: Broker,
         client: FastClient,
-        ports: Ports,
+        ports: shell.Ports,
     ):
         bare, new_id = settings.gateway_kind == PLC, lambda: uuid.uuid4().hex
         self._strings = JointStrings(codec, config.properties, bare, settings.max_state_age)
@@ -343,7 +326,7 @@ class MqttBridge:
         return Report(OK if state in (LinkState.ARMED, LinkState.MIRROR) else WARN, sentence, values)
 
 
-def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttBridge:
+def start(settings: Settings, robot: RobotModel, ports: shell.Ports) -> MqttBridge:
     """Return the bridge, connecting to the broker."""
     config = config_of_link(robot, ports.parameters["gateway"], settings.gateway_kind != PLC)
     broker, topics = broker_of(settings), Topics(settings.prefix, robot.name)
@@ -353,47 +336,46 @@ def start(settings: Settings, robot: RobotModel, ports: Ports) -> MqttBridge:
     return bridge
 
 
-INTERFACE = Interface(
+INTERFACE = shell.Interface(
     report=MqttBridge.report,
     parameters=(
-        SharedParameter(MIRROR_MODE, False, kept=True),
-        SharedParameter(WAITS, "", kept=True),
-        SharedParameter("gateway"),
+        shell.SharedParameter(MIRROR_MODE, False, kept=True),
+        shell.SharedParameter(WAITS, "", kept=True),
+        shell.SharedParameter("gateway"),
     ),
     publishes=(
-        PosePublication("physical/joint_states"),
-        PosePublication("physical/feedback", Feedback),
-        Publication("link", Link, queue_size=10, latch=True),
-        Publication("tool", ToolState, queue_size=50, latch=True),
-        Publication("session_request", SessionRequestMessage, queue_size=10),
+        shell.PosePublication("physical/joint_states"),
+        shell.PosePublication("physical/feedback", Feedback),
+        shell.Publication("link", Link, queue_size=10, latch=True),
+        shell.Publication("tool", ToolState, queue_size=50, latch=True),
+        shell.Publication("session_request", SessionRequestMessage, queue_size=10),
     ),
     hears=(
-        PoseSubscription("command/joint_states", MqttBridge.on_command),
-        Subscription("speed_limit_in_force", SpeedLimitInForce, MqttBridge.on_speed_limit, queue_size=5),
-        Subscription("tool_command", ToolCommand, MqttBridge.on_tool_command, queue_size=50, tcp_nodelay=True),
+        shell.PoseSubscription("command/joint_states", MqttBridge.on_command),
+        shell.Subscription("speed_limit_in_force", SpeedLimitInForce, MqttBridge.on_speed_limit, queue_size=5),
+        shell.Subscription("tool_command", ToolCommand, MqttBridge.on_tool_command, queue_size=50, tcp_nodelay=True),
         # what makes a switch void must not wait behind others
-        Subscription("sync", Sync, MqttBridge.on_sync, queue_size=50, tcp_nodelay=True),
-        Subscription("execution", Execution, MqttBridge.on_execution, queue_size=10, tcp_nodelay=True),
+        shell.Subscription("sync", Sync, MqttBridge.on_sync, queue_size=50, tcp_nodelay=True),
+        shell.Subscription("execution", Execution, MqttBridge.on_execution, queue_size=10, tcp_nodelay=True),
     ),
     serves=(
-        Served("reset", Trigger, lambda node, _: node.ask("reset")),
-        Served("~arm", Trigger, lambda node, _: node.ask("arm")),
-        Served("~act_as_seen", ActAsSeen, lambda node, asked: node.ask(asked.act, asked.person, asked.moment)),
-        Served("arm", TakeResponsibility, lambda node, asked: node.ask("arm", asked.responsible)),
-        Served("halt", Trigger, MqttBridge.on_halt),
-        Served("mirror", SetBool, MqttBridge.on_mirror),
+        shell.Served("reset", Trigger, lambda node, _: node.ask("reset")),
+        shell.Served("~act_as_seen", ActAsSeen, lambda node, asked: node.ask(asked.act, asked.person, asked.moment)),
+        shell.Served("arm", TakeResponsibility, lambda node, asked: node.ask("arm", asked.responsible)),
+        shell.Served("halt", Trigger, MqttBridge.on_halt),
+        shell.Served("mirror", SetBool, MqttBridge.on_mirror),
     ),
-    every=(Every(lambda _settings: LOG_PERIOD, MqttBridge.write_log),),
+    every=(shell.Every(lambda _settings: LOG_PERIOD, MqttBridge.write_log),),
 )
 
 
-def check(settings: Settings, robot: RobotModel, shared: Shared) -> None:
+def check(settings: Settings, robot: RobotModel, shared: shell.Shared) -> None:
     """Check configuration and account, and that a real arm takes commands from accounts alone; see `NodeShell`."""
     config_of_link(robot, shared["gateway"], settings.gateway_kind != PLC)
     broker_of(settings)
     if settings.arm == "real" and not settings.account and not settings.anonymous_broker_is_meant:
-        raise ConfigurationError("bridge_account", "", ACCOUNTS)
+        raise ConfigurationError("accounts", "", ACCOUNTS)
 
 
-NODE = NodeShell("mqtt_bridge", Settings, start, INTERFACE, check, fast=True)
+NODE = shell.NodeShell("mqtt_bridge", Settings, start, INTERFACE, check, fast=True)
 main = NODE.run

@@ -15,6 +15,7 @@ from construction_twin.msg import Conflict as ConflictMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.messages.records import with_sentences
+from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.arm_listener import (
     ARM_POSES,
     ARM_TOPICS,
@@ -27,7 +28,6 @@ from construction_twin.ros.shared.arm_listener import (
     plan_rows,
 )
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.node_shell import Interface, NodeShell, Ports, Publication
 from construction_twin.ros.transport.publisher import Sink
 from construction_twin.scene.collision_world import CollisionWorld, Contact
 from construction_twin.scene.neighbour import Obstacle, key_rows
@@ -43,12 +43,8 @@ def first_meeting(
 ) -> tuple[float, Contact] | None:
     """Return when a plan first comes too close to the other arm [s] and what does, None if nothing does.
 
-    Poses are checked between which no point moves further than the padding, and half of that is kept besides a quarter of it. So a
-    plan that was made with the whole padding is free while the other arm occupies what it did then.
-
-    Args:
-        world: Of our arm with all that it will carry on its way.
-        padding: Distance that plans keep, besides the scene's [m].
+    Poses are checked between which no point moves further than the padding, and half of that is kept besides a quarter: a plan
+    made with the whole padding is free. `world`: of our arm with all that it will carry.
     """
     beside = world.with_neighbour((item.padded(0.75 * padding) for item in obstacles), alone=True)
     times, qs = plan_rows(plan)
@@ -111,8 +107,7 @@ class NeighbourNode:
     def _problem(self, plan: Plan, own: Claim | None) -> str:
         """Return why a plan must not start, or not go on; empty: nothing is against it.
 
-        A plan that is played ends when it meets the other arm's that was begun before it, as both were approved at the same moment,
-        or the other arm where it stands, as after that.
+        A plan that is played ends when it meets the other arm's that was begun before it, or the other arm where it stands.
         """
         scene, plays = self._own.scene, own is not None and own.plan_id == plan.id
         try:
@@ -154,7 +149,7 @@ class NeighbourNode:
         return self._state
 
 
-def start(settings: NeighbourSettings, robot: RobotModel, ports: Ports) -> NeighbourNode:
+def start(settings: NeighbourSettings, robot: RobotModel, ports: shell.Ports) -> NeighbourNode:
     """Return the watch with its parameters and topics."""
     refuse = ports.diagnostics.refuse
     await_robot(settings.name)
@@ -164,10 +159,10 @@ def start(settings: NeighbourSettings, robot: RobotModel, ports: Ports) -> Neigh
     return NeighbourNode(own, other, world, settings.padding, ports.publishers["conflict"])
 
 
-INTERFACE = Interface(
+INTERFACE = shell.Interface(
     report=NeighbourNode.report,
-    publishes=(Publication("conflict", ConflictMsg, queue_size=10),),
+    publishes=(shell.Publication("conflict", ConflictMsg, queue_size=10),),
     listeners=(*ARM_TOPICS, *ARM_POSES),
 )
-NODE = NodeShell("neighbour", NeighbourSettings, start, INTERFACE)
+NODE = shell.NodeShell("neighbour", NeighbourSettings, start, INTERFACE)
 main = NODE.run

@@ -1,7 +1,4 @@
-"""pca_monitor: the pose checking algorithm as the gate between `next/joint_states` and `command/joint_states`.
-
-It also merges what limits the speed, beside the gate: `SpeedLimitService`.
-"""
+"""pca_monitor: the gate between `next/joint_states` and `command/joint_states`; beside it the merge of speed limits."""
 
 from __future__ import annotations
 
@@ -32,21 +29,8 @@ from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
+from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, DeferredLog, Report
-from construction_twin.ros.shared.node_shell import (
-    Every,
-    Interface,
-    NodeShell,
-    Ports,
-    PosePublication,
-    PoseSubscription,
-    Publication,
-    Served,
-    Shared,
-    SharedParameter,
-    Subscription,
-    has_arm,
-)
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import NodeSettings, robot_file, ros_home, settings_of
 from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
@@ -96,14 +80,12 @@ class Rules(pydantic.BaseModel):
 
 
 class SpeedLimitService:
-    """ROS around a SpeedLimits: of one program on `speed_limit`, of people by `limit_speed`; the lowest is published, and repeated.
+    """ROS around a SpeedLimits: of one program and of people; the lowest is published, and repeated. Not safety rated.
 
-    Beside the gate, in threads of its own: no setpoint waits for its lock or file. A raise of people is on the disk before it acts,
-    a lower limit acts at once: a restart raises nothing. Not safety rated. The file `path` keeps what people set; None: it ends
-    with the process.
+    Beside the gate, in threads of its own. A raise of people is on the disk, in `path`, before it acts; a lower limit acts at once.
     """
 
-    def __init__(self, path: Path | None, ports: Ports):
+    def __init__(self, path: Path | None, ports: shell.Ports):
         # the stricter of what executor and gateway are told holds here; without an arm there is no gateway
         told = {name: ports.parameters[name] for name in ("executor", "gateway") if ports.parameters[name] is not None}
         rules = [settings_of(Rules, given, rospy.resolve_name(name)) for name, given in told.items()]
@@ -195,9 +177,9 @@ class SpeedLimitService:
 class PcaMonitorNode:
     """ROS around a Monitor, and beside it the speed limit, which the gate knows nothing of."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
         # without an arm there is no broker, and nobody could raise what was set before
-        has = has_arm(settings)
+        has = shell.has_arm(settings)
         kept = ros_home() / "construction_twin" / "speed_limits" / f"{robot.name}.json" if has else None
         stopped_in, now = ports.parameters[PARAMETER] if has else "", time.monotonic_ns()
         self._names, self._publishers, self._diagnostics = robot.joint_names, ports.publishers, ports.diagnostics
@@ -406,7 +388,7 @@ def knows_servos(settings: Settings) -> bool:
     return bool(settings.servo_model) and settings.arm != "none"
 
 
-def check(settings: Settings, robot: RobotModel, shared: Shared) -> None:
+def check(settings: Settings, robot: RobotModel, shared: shell.Shared) -> None:
     """Check what fits the model and yet cannot work; see `NodeShell`."""
     make_gate(settings, robot, 0)
     if knows_servos(settings):
@@ -420,31 +402,31 @@ def check(settings: Settings, robot: RobotModel, shared: Shared) -> None:
     check_writable(robot_file(settings.transition_file, robot.name).parent)
 
 
-INTERFACE = Interface(
+INTERFACE = shell.Interface(
     report=PcaMonitorNode.report,
     parameters=(
-        SharedParameter(PARAMETER, "", kept=True),
-        SharedParameter("executor", {}),
-        SharedParameter("gateway"),
-        SharedParameter(PROGRAM, "", kept=True),
+        shell.SharedParameter(PARAMETER, "", kept=True),
+        shell.SharedParameter("executor", {}),
+        shell.SharedParameter("gateway"),
+        shell.SharedParameter(PROGRAM, "", kept=True),
     ),
     publishes=(
-        PosePublication("command/joint_states"),
-        PosePublication("expected/joint_states", when=knows_servos),
-        Publication("sync", msg.Sync, queue_size=50, latch=True, tcp_nodelay=True),
-        Publication("hold", msg.Hold, queue_size=5, latch=True),
-        Publication("transitions", msg.Transition, queue_size=50, latch=True),
-        Publication("speed_limit_in_force", msg.SpeedLimitInForce, queue_size=5, latch=True, tcp_nodelay=True),
-        Publication("speed_change", msg.SpeedChange, queue_size=50),
+        shell.PosePublication("command/joint_states"),
+        shell.PosePublication("expected/joint_states", when=knows_servos),
+        shell.Publication("sync", msg.Sync, queue_size=50, latch=True, tcp_nodelay=True),
+        shell.Publication("hold", msg.Hold, queue_size=5, latch=True),
+        shell.Publication("transitions", msg.Transition, queue_size=50, latch=True),
+        shell.Publication("speed_limit_in_force", msg.SpeedLimitInForce, queue_size=5, latch=True, tcp_nodelay=True),
+        shell.Publication("speed_change", msg.SpeedChange, queue_size=50),
     ),
     hears=(
-        PoseSubscription("twin/joint_states", PcaMonitorNode.on_twin),
-        PoseSubscription("physical/feedback", PcaMonitorNode.on_feedback, FEEDBACK_KEPT, msg.Feedback),
-        PoseSubscription("next/joint_states", PcaMonitorNode.on_next, SETPOINTS_KEPT),
-        Subscription("plan", msg.Plan, PcaMonitorNode.on_plan, queue_size=5),
-        Subscription("execution", msg.Execution, PcaMonitorNode.on_execution, queue_size=5),
-        Subscription("link", msg.Link, PcaMonitorNode.on_link, queue_size=5),
-        Subscription(
+        shell.PoseSubscription("twin/joint_states", PcaMonitorNode.on_twin),
+        shell.PoseSubscription("physical/feedback", PcaMonitorNode.on_feedback, FEEDBACK_KEPT, msg.Feedback),
+        shell.PoseSubscription("next/joint_states", PcaMonitorNode.on_next, SETPOINTS_KEPT),
+        shell.Subscription("plan", msg.Plan, PcaMonitorNode.on_plan, queue_size=5),
+        shell.Subscription("execution", msg.Execution, PcaMonitorNode.on_execution, queue_size=5),
+        shell.Subscription("link", msg.Link, PcaMonitorNode.on_link, queue_size=5),
+        shell.Subscription(
             "speed_limit",
             msg.SpeedLimit,
             lambda node, said: node.speed.on_program(said),
@@ -453,15 +435,15 @@ INTERFACE = Interface(
         ),
     ),
     serves=(
-        Served("configure_gate", srv.ConfigureGate, PcaMonitorNode.on_configure, reason="configure_gate"),
-        Served("limit_speed", srv.LimitSpeed, lambda node, asked: node.speed.on_limit_speed(asked)),
+        shell.Served("configure_gate", srv.ConfigureGate, PcaMonitorNode.on_configure, reason="configure_gate"),
+        shell.Served("limit_speed", srv.LimitSpeed, lambda node, asked: node.speed.on_limit_speed(asked)),
     ),
     every=(
-        Every(lambda _settings: 1 / SYNC_RATE, PcaMonitorNode.watch),
-        Every(lambda _settings: WRITE_PERIOD, PcaMonitorNode.write_transitions),
-        Every(lambda _settings: LIMIT_PERIOD, lambda node: node.speed.repeat()),
-        Every(lambda _settings: LIMIT_AGAIN, lambda node: node.speed.write()),
+        shell.Every(lambda _settings: 1 / SYNC_RATE, PcaMonitorNode.watch),
+        shell.Every(lambda _settings: WRITE_PERIOD, PcaMonitorNode.write_transitions),
+        shell.Every(lambda _settings: LIMIT_PERIOD, lambda node: node.speed.repeat()),
+        shell.Every(lambda _settings: LIMIT_AGAIN, lambda node: node.speed.write()),
     ),
 )
-NODE = NodeShell("pca_monitor", Settings, PcaMonitorNode, INTERFACE, check, fast=True)
+NODE = shell.NodeShell("pca_monitor", Settings, PcaMonitorNode, INTERFACE, check, fast=True)
 main = NODE.run

@@ -40,24 +40,10 @@ from construction_twin.ros.messages.convert import (
 )
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.arm_listener import (
-    OtherArm,
-    await_robot,
-    listen_to_other_arm,
-    neighbour_settings,
-)
+from construction_twin.ros.shared import node_shell as shell
+from construction_twin.ros.shared.arm_listener import OtherArm, await_robot, listen_to_other_arm, neighbour_settings
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
-from construction_twin.ros.shared.node_shell import (
-    Interface,
-    NewestPose,
-    NodeShell,
-    Ports,
-    Publication,
-    Served,
-    Shared,
-    Subscription,
-)
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.scene.neighbour import Obstacle
@@ -67,15 +53,7 @@ from construction_twin.scene.self_collision import read_self_collision
 
 
 def plan_request(request, source: str = "request") -> PlanRequest:
-    """Return the request behind any of the services'; zero and empty mean the default.
-
-    Args:
-        source: Name of the requester if the request does not give one.
-
-    Raises:
-        PayloadError: ``moment``, of when it was asked for.
-        PlanningError: If that is not before it arrived, on the same clock: then a stop between the two would not void it.
-    """
+    """Return the request behind any of the services'; PlanningError where it was asked for after it came, or on another clock."""
     arrived = present()
     asked = parse_moment(request.asked) if getattr(request, "asked", "") else arrived
     if asked.origin != arrived.origin or asked.at > arrived.at:
@@ -89,14 +67,7 @@ def plan_request(request, source: str = "request") -> PlanRequest:
 
 
 def tool_waypoints(waypoints: Iterable, base_T_frame: Pose) -> list[ToolWaypoint]:
-    """Return a Cartesian path in the robot's base.
-
-    Args:
-        base_T_frame: The frame that they are given in.
-
-    Raises:
-        KinematicsError: If an orientation is not a unit quaternion.
-    """
+    """Return a Cartesian path in the robot's base; KinematicsError where an orientation is no unit quaternion."""
     path = []
     for message in waypoints:
         via = base_T_frame.position + base_T_frame.rotation @ np.array((message.via.x, message.via.y, message.via.z))
@@ -127,10 +98,7 @@ SCENE_TIMEOUT = 5.0
 
 
 class Settings(PlannerSettings):
-    """The node's parameters: the planner's, and what only the node needs.
-
-    Behaviour is explained in config/planner.yaml; `self_collision` and `tf_prefix` are given in launch/twin.launch.
-    """
+    """The planner's parameters (config/planner.yaml), and those of the launch file."""
 
     ik_budget: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]
     self_collision: str
@@ -140,7 +108,7 @@ class Settings(PlannerSettings):
 class PlannerNode:
     """ROS around a PlanningPipeline: requests by service and topic in, plans out."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
         self._robot = robot
         self._chain = Chain(self._robot)
         self._beside = neighbour_settings()
@@ -171,7 +139,6 @@ class PlannerNode:
     # -- the other arm
 
     def _occupied(self) -> list[Obstacle]:
-        """Return the space that the other arm occupies, padded."""
         assert self._other is not None and self._beside is not None
         return [item.padded(self._beside.padding) for item in self._other.occupied().obstacles]
 
@@ -249,7 +216,6 @@ class PlannerNode:
         self._through(asked, lambda: trajectory_waypoints(message, self._robot))
 
     def _through(self, asked: PlanRequest, read: Callable[[], Waypoints], retime: bool = False) -> Outcome:
-        """Read waypoints, and plan through them from where the twin stands."""
 
         def plan() -> Callable[[], Plan]:
             waypoints = read()
@@ -356,36 +322,36 @@ class PlannerNode:
         return Report(OK if scene is not None else WARN, self._last, values)
 
 
-INTERFACE = Interface(
+INTERFACE = shell.Interface(
     report=PlannerNode.report,
     publishes=(
-        Publication("plan", msg.Plan, queue_size=1, latch=True),
-        Publication("plan_outcome", msg.PlanOutcome, queue_size=1, latch=True),
+        shell.Publication("plan", msg.Plan, queue_size=1, latch=True),
+        shell.Publication("plan_outcome", msg.PlanOutcome, queue_size=1, latch=True),
     ),
-    reads=(NewestPose("twin/joint_states"),),
+    reads=(shell.NewestPose("twin/joint_states"),),
     hears=(
-        Subscription("engagement", msg.Engagement, PlannerNode.on_engagement, queue_size=1),
-        Subscription("review", msg.Review, PlannerNode.on_review, queue_size=10),
-        Subscription("scene", msg.Scene, PlannerNode.on_scene, queue_size=1),
-        Subscription("joint_trajectory", JointTrajectory, PlannerNode.on_trajectory, queue_size=10),
+        shell.Subscription("engagement", msg.Engagement, PlannerNode.on_engagement, queue_size=1),
+        shell.Subscription("review", msg.Review, PlannerNode.on_review, queue_size=10),
+        shell.Subscription("scene", msg.Scene, PlannerNode.on_scene, queue_size=1),
+        shell.Subscription("joint_trajectory", JointTrajectory, PlannerNode.on_trajectory, queue_size=10),
     ),
     listeners=FRAMES,
     serves=(
-        Served("plan_to_joints", srv.PlanToJoints, PlannerNode.on_plan_to_joints),
-        Served("plan_to_pose", srv.PlanToPose, PlannerNode.on_plan_to_pose),
-        Served("plan_cartesian", srv.PlanCartesian, PlannerNode.on_plan_cartesian),
-        Served("plan_from_csv", srv.PlanFromCsv, PlannerNode.on_plan_from_csv),
-        Served("plan_trajectory", srv.PlanTrajectory, PlannerNode.on_plan_trajectory),
-        Served("plan_work", srv.PlanWork, PlannerNode.on_plan_work),
-        Served("plan_way_back", Trigger, PlannerNode.on_plan_way_back),
+        shell.Served("plan_to_joints", srv.PlanToJoints, PlannerNode.on_plan_to_joints),
+        shell.Served("plan_to_pose", srv.PlanToPose, PlannerNode.on_plan_to_pose),
+        shell.Served("plan_cartesian", srv.PlanCartesian, PlannerNode.on_plan_cartesian),
+        shell.Served("plan_from_csv", srv.PlanFromCsv, PlannerNode.on_plan_from_csv),
+        shell.Served("plan_trajectory", srv.PlanTrajectory, PlannerNode.on_plan_trajectory),
+        shell.Served("plan_work", srv.PlanWork, PlannerNode.on_plan_work),
+        shell.Served("plan_way_back", Trigger, PlannerNode.on_plan_way_back),
     ),
 )
 
 
-def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
+def check(settings: Settings, robot: RobotModel, *_: object) -> None:
     """Check the file of pairs; see `NodeShell`."""
     read_self_collision(settings.self_collision, robot)
 
 
-NODE = NodeShell("planner", Settings, PlannerNode, INTERFACE, check)
+NODE = shell.NodeShell("planner", Settings, PlannerNode, INTERFACE, check)
 main = NODE.run

@@ -26,12 +26,7 @@ ARM, NEW_MOCK, MOCK = "gateway_arm", "new mock", "mock"
 
 
 def stop_file(arm: str, config: Path, robot: str) -> Path:
-    """Return the file that keeps an arm's stop. A mock, whose own is new in each launch, never touches the real arm's.
-
-    Args:
-        arm: Of `ARM`.
-        config: The configuration's file, of one node and ROS master; the real arm is the same one with another master.
-    """
+    """Return the file that keeps the stop of an `ARM`: of a real one the same with every master, which a mock never touches."""
     path = config.with_suffix(".stopped") if arm in (NEW_MOCK, MOCK) else config.with_name(f"{robot}.stopped")
     stops = StopFile(path)
     if arm == NEW_MOCK:
@@ -47,7 +42,7 @@ def checked(words: list[str], parameters: Parameters = rospy) -> GatewayConfig:
     check(options, config)
     is_meant = parameters.get_param("mqtt_bridge/anonymous_broker_is_meant", False)
     if parameters.get_param(ARM, "") not in (NEW_MOCK, MOCK, "") and not options.account and is_meant is not True:
-        raise ConfigurationError("gateway_account", "", ACCOUNTS)
+        raise ConfigurationError("accounts", "", ACCOUNTS)
     return config
 
 

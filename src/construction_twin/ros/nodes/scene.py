@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import re
 import threading
 from collections.abc import Callable
@@ -20,19 +19,9 @@ from construction_twin.core.motion_errors import SceneError
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import pose_from_msg
 from construction_twin.ros.messages.scene_convert import object_from_msg, scene_markers, scene_to_msg
+from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
-from construction_twin.ros.shared.node_shell import (
-    Every,
-    Interface,
-    NewestPose,
-    NodeShell,
-    Ports,
-    Publication,
-    Served,
-    Shared,
-    SharedParameter,
-)
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import PrivateSettings, ros_home
 from construction_twin.ros.transport.publisher import Sink
@@ -51,13 +40,13 @@ _PATIENCE = 1.0
 CHECK_PERIOD = 0.2
 #: Where MoveIt is told, if its message types are installed. For one that is busy many messages are kept: one that is dropped may be
 #: the one that took something away.
-PLANNING_SCENE = Publication("planning_scene", "moveit_msgs/PlanningScene", queue_size=50, latch=True)
+PLANNING_SCENE = shell.Publication("planning_scene", "moveit_msgs/PlanningScene", queue_size=50, latch=True)
 #: roslaunch's id of this run.
 _RUN = "/run_id"
 
 
 class Settings(PrivateSettings):
-    """Private parameters, given in launch/twin.launch; `scene` ``none`` or empty: no objects, no padding."""
+    """Private parameters, given in launch/bringup.launch; `scene` ``none`` or empty: no objects, no padding."""
 
     scene: str
     self_collision: str
@@ -67,7 +56,7 @@ class Settings(PrivateSettings):
 class SceneNode:
     """ROS around a CollisionWorld: what changes the scene, and who hears of it."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
         self._robot = robot
         self._prefix = settings.tf_prefix.rstrip("/")
         start = read_scene(settings.scene)
@@ -97,46 +86,10 @@ class SceneNode:
         """Return the state for `/diagnostics`."""
         return self._state
 
-    def on_add(self, request: srv.AddObjectRequest) -> Outcome:
+    # -- edits: each returns the scene as it would be, and what was done
+
+    def add(self, request: srv.AddObjectRequest) -> tuple[Scene, str]:
         """Put an object in."""
-        return self._edit(lambda: self._add(request))
-
-    def on_remove(self, request: srv.RemoveObjectRequest) -> Outcome:
-        """Take an object out."""
-
-        def remove() -> tuple[Scene, str]:
-            return self._world.scene.remove(request.name), f"removed {request.name!r}"
-
-        return self._edit(remove)
-
-    def on_attach(self, request: srv.AttachObjectRequest) -> Outcome:
-        """Let a link carry an object."""
-        return self._edit(lambda: self._attach(request))
-
-    def on_detach(self, request: srv.DetachObjectRequest) -> Outcome:
-        """Put down what a link carries."""
-        return self._edit(lambda: self._detach(request.name))
-
-    def on_clear(self, _request: TriggerRequest) -> Outcome:
-        """Take out all that is not fixed."""
-
-        def clear() -> tuple[Scene, str]:
-            cleared = self._world.scene.clear()
-            gone = [name for name in self._world.scene.names if name not in cleared.names]
-            return cleared, f"removed {', '.join(gone) or 'nothing'}; fixed objects stay"
-
-        return self._edit(clear)
-
-    def on_edit(self, request: srv.EditSceneRequest) -> Outcome:
-        """Change several objects at once, from the scene that is named."""
-
-        def change() -> tuple[Scene, str]:
-            wanted = SceneChange(tuple(map(object_from_msg, request.put)), tuple(request.remove))
-            return wanted.between(self._world.scene, request.before, request.after), str(wanted)
-
-        return self._edit(change)
-
-    def _add(self, request) -> tuple[Scene, str]:
         item = object_from_msg(request.object)
         if item.link:
             raise SceneError(f"object {item.name!r} link", item.link, "an empty one; attach it once it is in the scene")
@@ -146,7 +99,12 @@ class SceneNode:
         scene = self._world.scene.add(item, request.replace)
         return scene, f"{'replaced' if known else 'added'} {item.shape} {item.name!r}"
 
-    def _attach(self, request) -> tuple[Scene, str]:
+    def remove(self, request: srv.RemoveObjectRequest) -> tuple[Scene, str]:
+        """Take an object out."""
+        return self._world.scene.remove(request.name), f"removed {request.name!r}"
+
+    def attach(self, request: srv.AttachObjectRequest) -> tuple[Scene, str]:
+        """Let a link carry an object."""
         link = request.link or self._robot.tip_link
         if request.use_pose:
             pose = pose_from_msg(request.pose)
@@ -155,21 +113,34 @@ class SceneNode:
             pose = relative(self._world.link_pose(q, link), self._world.object_pose(q, request.name))
         return self._world.scene.attach(request.name, link, pose, request.touch), f"{link} carries {request.name!r}"
 
-    def _detach(self, name: str) -> tuple[Scene, str]:
+    def detach(self, request: srv.DetachObjectRequest) -> tuple[Scene, str]:
+        """Put down what a link carries."""
+        name = request.name
         item: SceneObject = self._world.scene.get(name)
         if not item.link:  # refused with its own sentence, whether or not the twin's pose is known
             return self._world.scene.detach(name, item.pose), ""
         pose = self._world.object_pose(self._twin.pose(_PATIENCE, _PATIENCE), name)
         return self._world.scene.detach(name, pose), f"put down {name!r}"
 
+    def clear(self, _request: TriggerRequest) -> tuple[Scene, str]:
+        """Take out all that is not fixed."""
+        cleared = self._world.scene.clear()
+        gone = [name for name in self._world.scene.names if name not in cleared.names]
+        return cleared, f"removed {', '.join(gone) or 'nothing'}; fixed objects stay"
+
+    def change(self, request: srv.EditSceneRequest) -> tuple[Scene, str]:
+        """Change several objects at once, from the scene that is named."""
+        wanted = SceneChange(tuple(map(object_from_msg, request.put)), tuple(request.remove))
+        return wanted.between(self._world.scene, request.before, request.after), str(wanted)
+
     def present_hash(self, _request) -> dict[str, object]:
         """Return what every answer about the scene tells: which one is the present one."""
         return {"hash": self._world.scene.hash}
 
-    def _edit(self, change: Callable[[], tuple[Scene, str]]) -> Outcome:
+    def edit(self, change: Callable[[SceneNode, Any], tuple[Scene, str]], request: Any) -> Outcome:
         """Change the scene as a whole or not at all."""
         with self._busy:
-            scene, sentence = change()
+            scene, sentence = change(self, request)
             world = self._world.with_scene(scene)
             # kept before anybody hears of it: a node that is started anew must not forget what others plan with
             self._file.save(scene)
@@ -198,7 +169,6 @@ class SceneNode:
                 self._publish_markers()
 
     def _find_contacts(self) -> None:
-        """Find what touches at the present pose, and what to say about it."""
         values = {"scene": self._world.scene.hash, "objects": len(self._world.scene.objects), "edits": self._edits}
         values |= {f"lasting contact {number}": sentence for number, sentence in enumerate(self._lasting, 1)}
         self._touching = {}
@@ -229,7 +199,6 @@ class SceneNode:
         self._publish_markers()
 
     def _for_moveit(self, publisher: Sink | None) -> Any:
-        """Return what tells MoveIt of the scene, where its message types are installed."""
         if publisher is None:
             rospy.loginfo("planning_scene is not published without moveit_msgs; `twin scene --moveit` writes a file")
             return None
@@ -256,34 +225,37 @@ def _scene_file(start: Scene, run: str) -> SceneFile:
     return SceneFile(ros_home() / f"{name}_edits.json", run, start)
 
 
-_edit = functools.partial(Served, refused=SceneNode.present_hash)
-INTERFACE = Interface(
+def _edit(name: str, kind: type, change: Callable[[SceneNode, Any], tuple[Scene, str]]) -> shell.Served:
+    return shell.Served(name, kind, lambda node, request: node.edit(change, request), refused=SceneNode.present_hash)
+
+
+INTERFACE = shell.Interface(
     report=SceneNode.report,
-    parameters=(SharedParameter(_RUN, ""),),
+    parameters=(shell.SharedParameter(_RUN, ""),),
     publishes=(
-        Publication("scene", msg.Scene, queue_size=1, latch=True),
-        Publication("scene_markers", MarkerArray, queue_size=1, latch=True),
+        shell.Publication("scene", msg.Scene, queue_size=1, latch=True),
+        shell.Publication("scene_markers", MarkerArray, queue_size=1, latch=True),
         PLANNING_SCENE,
     ),
-    reads=(NewestPose("twin/joint_states"),),
+    reads=(shell.NewestPose("twin/joint_states"),),
     listeners=FRAMES,
     serves=(
-        _edit("add_object", srv.AddObject, SceneNode.on_add),
-        _edit("remove_object", srv.RemoveObject, SceneNode.on_remove),
-        _edit("attach_object", srv.AttachObject, SceneNode.on_attach),
-        _edit("detach_object", srv.DetachObject, SceneNode.on_detach),
-        _edit("clear_scene", Trigger, SceneNode.on_clear),
-        _edit("edit_scene", srv.EditScene, SceneNode.on_edit),
+        _edit("add_object", srv.AddObject, SceneNode.add),
+        _edit("remove_object", srv.RemoveObject, SceneNode.remove),
+        _edit("attach_object", srv.AttachObject, SceneNode.attach),
+        _edit("detach_object", srv.DetachObject, SceneNode.detach),
+        _edit("clear_scene", Trigger, SceneNode.clear),
+        _edit("edit_scene", srv.EditScene, SceneNode.change),
     ),
-    every=(Every(lambda _settings: CHECK_PERIOD, SceneNode.check),),
+    every=(shell.Every(lambda _settings: CHECK_PERIOD, SceneNode.check),),
 )
 
 
-def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
+def check(settings: Settings, robot: RobotModel, *_: object) -> None:
     """Check the files: objects by names of links and objects that exist, with meshes that can be used; see `NodeShell`."""
     read_self_collision(settings.self_collision, robot)
     RobotBodies(robot).place_all(read_scene(settings.scene))
 
 
-NODE = NodeShell("scene", Settings, SceneNode, INTERFACE, check)
+NODE = shell.NodeShell("scene", Settings, SceneNode, INTERFACE, check)
 main = NODE.run

@@ -21,8 +21,8 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.share import share_folder
 from construction_twin.msg import Feedback, Scene, StartRefused
 from construction_twin.robot.description import RobotModel, other_joints_text
+from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report, warn_of_refusals
-from construction_twin.ros.shared.node_shell import Every, Interface, NodeShell, Ports, Shared, Subscription
 from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
 from construction_twin.ros.shared.start_refusal import AGAIN, TOPIC, launch
@@ -92,7 +92,7 @@ class StartupNode:
     """ROS around a StartUp."""
 
     def __init__(
-        self, settings: Settings, robot: RobotModel, ports: Ports, clock: Callable[[], float] = time.monotonic
+        self, settings: Settings, robot: RobotModel, ports: shell.Ports, clock: Callable[[], float] = time.monotonic
     ):
         namespace = rospy.get_namespace().rstrip("/")
         named = settings.model_dump(exclude={"console"})
@@ -173,8 +173,7 @@ class StartupNode:
 def expect_reachable(environ: Mapping[str, str]) -> None:
     """Raise a ConfigurationError when nodes of this machine would not reach each other, or the master.
 
-    Each node tells the master an address of its own: `ROS_HOSTNAME`, else `ROS_IP`, else the machine's name. With one that leads
-    nowhere every node starts, and none hears another.
+    Each tells the master `ROS_HOSTNAME`, else `ROS_IP`, else the machine's name: with one that leads nowhere none hears another.
     """
     if environ.get("ROS_IPV6") == "on":
         return
@@ -216,15 +215,11 @@ def reaches_itself(host: str, timeout: float) -> str:
 
 
 def expect_known(words: list[str]) -> None:
-    """Raise a ConfigurationError about an argument for a launch file of this package that none of them has.
-
-    Args:
-        words: Of roslaunch's command line, which takes any name; others' launch files, which may include ours, are not looked at.
-    """
+    """Raise a ConfigurationError about an argument on roslaunch's command line that no launch file of this package knows."""
     files = list((share_folder() / "launch").glob("*.launch"))
     if "construction_twin" not in words and not {str(file) for file in files} & set(words):
         return
-    known = {name for file in files for name in re.findall(r'<arg name="(\w+)"', file.read_text(encoding="utf-8"))}
+    known = {name for file in files for name in re.findall(r'<arg name="(\w+)"\s+default=', file.read_text())}
     for word in words:
         name, assigned, value = word.partition(":=")
         if assigned and not name.startswith("_") and name not in known:
@@ -232,7 +227,7 @@ def expect_known(words: list[str]) -> None:
             raise ConfigurationError(name, value, f"an argument that `roslaunch --ros-args` lists{near}")
 
 
-def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
+def check(settings: Settings, robot: RobotModel, *_: object) -> None:
     """Check what is no other node's: addresses, roslaunch's words, and what would start beside something missing."""
     expect_reachable(os.environ)
     expect_known(_words_of_parent())
@@ -261,15 +256,15 @@ def refused(sentence: str) -> None:
     refusals.end_launch()
 
 
-INTERFACE = Interface(
+INTERFACE = shell.Interface(
     report=StartupNode.report,
     hears=(
-        Subscription(FEEDBACK, Feedback, lambda node, _: node.came.add(FEEDBACK), queue_size=1),
-        Subscription(TWIN, rospy.AnyMsg, lambda node, _: node.came.add(TWIN), queue_size=1),
-        Subscription(SCENE, Scene, lambda node, _: node.came.add(SCENE), queue_size=1),
+        shell.Subscription(FEEDBACK, Feedback, lambda node, _: node.came.add(FEEDBACK), queue_size=1),
+        shell.Subscription(TWIN, rospy.AnyMsg, lambda node, _: node.came.add(TWIN), queue_size=1),
+        shell.Subscription(SCENE, Scene, lambda node, _: node.came.add(SCENE), queue_size=1),
     ),
     listeners=(*REPORTS, TOPIC),
-    every=(Every(lambda _settings: PERIOD, StartupNode.update),),
+    every=(shell.Every(lambda _settings: PERIOD, StartupNode.update),),
 )
-NODE = NodeShell("startup", Settings, StartupNode, INTERFACE, check, refused=refused)
+NODE = shell.NodeShell("startup", Settings, StartupNode, INTERFACE, check, refused=refused)
 main = NODE.run

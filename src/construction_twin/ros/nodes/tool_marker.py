@@ -1,7 +1,6 @@
-"""tool_marker: the operator's handle in rviz. It follows the tool; dragged away, it shows at once whether the arm can go there.
+"""tool_marker: the operator's handle in rviz. Dragged away from the tool, it shows at once whether the arm can go there.
 
-Its menu is in `ros.shared.tool_marker_menu`. The verdict is drawn by markers of its own, because rviz takes a changed interactive
-marker for a new one in the middle of a drag.
+The verdict is drawn by markers of its own: rviz takes a changed interactive marker for a new one in the middle of a drag.
 """
 
 from __future__ import annotations
@@ -38,12 +37,12 @@ from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.convert import pose_from_msg, pose_to_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
+from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.node_shell import Interface, NewestPose, NodeShell, Ports, Publication, Subscription
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
-from construction_twin.ros.shared.tool_marker_menu import MarkerGoal, ToolMarkerMenu, moved
+from construction_twin.ros.shared.tool_marker_menu import ToolMarkerMenu, moved
 from construction_twin.ros.transport.subscriber import PUBLISHER, caller_of
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene
@@ -53,12 +52,7 @@ from construction_twin.views.texts import waiting_plan
 
 
 class MarkerServer(InteractiveMarkerServer):
-    """As `InteractiveMarkerServer`, but deaf to what is played.
-
-    Args:
-        topic: Namespace of the marker's topics.
-        refused: Called as ``refused(reason, sentence)`` for a message that its sender did not make.
-    """
+    """As `InteractiveMarkerServer`, but deaf to what is played: `refused(reason, sentence)` is told of it."""
 
     def __init__(self, topic: str, refused: Callable[[str, str], None]):
         self._refused = refused
@@ -127,12 +121,7 @@ class Settings(PrivateSettings):
 
 
 def tool_marker(frame: str, pose: PoseMsg, scale: float) -> InteractiveMarker:
-    """Return the interactive marker: it moves along and turns about its axes, and opens the menu.
-
-    Args:
-        frame: tf frame of the pose. The stamp is 0: rviz then keeps the marker in this frame, and reports poses in it.
-        scale: [m]
-    """
+    """Return the interactive marker, of `scale` [m]; its stamp is 0: rviz keeps it in this frame, and reports poses in it."""
     marker = InteractiveMarker(name=NAME, description="", pose=pose, scale=scale)
     marker.header.frame_id = frame
     handle = Marker(type=Marker.SPHERE, color=ColorRGBA(1.0, 1.0, 1.0, 0.2))
@@ -176,7 +165,7 @@ def _text(text: str, at: Point, scale: float) -> Marker:
 class ToolMarkerNode:
     """Interactive marker `tool_marker`, markers `tool_marker/verdict`; its menu calls the services that an operator would."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
         self._settings = settings
         self._robot = robot
         self._chain = Chain(self._robot)
@@ -189,7 +178,6 @@ class ToolMarkerNode:
         self._pending = False
         self._scene: Scene | None = None
         self._said = ""
-        self._goal = MarkerGoal()
         # what only the worker uses
         self._world: CollisionWorld | None = None
         self._place: Pose | None = None
@@ -203,7 +191,6 @@ class ToolMarkerNode:
         self._menu = ToolMarkerMenu(
             OperatorClient(namespace, SERVICE_TIMEOUT, "tool_marker"),
             self._listener.under_review,
-            self._goal,
             self._robot.home,
             self._settings.reviewer or getpass.getuser(),
             self._say,
@@ -221,9 +208,9 @@ class ToolMarkerNode:
                 scene = self._scene
             if not asked:
                 self._notice_ending()
-                if self._goal.pose is None:
+                if self._menu.goal is None:
                     self._follow()
-            goal = self._goal.pose
+            goal = self._menu.goal
             # a pose that could not be judged is tried again
             if asked or self._verdict is None:
                 self._judge(self._place if goal is None else goal, scene)
@@ -242,9 +229,9 @@ class ToolMarkerNode:
         if feedback.event_type == feedback.MOUSE_UP:
             # the other clients learn the new place at the end of a drag only
             self._server.applyChanges()
-            if self._goal.pose is None:
+            if self._menu.goal is None:
                 return
-        self._goal.drag(pose)
+        self._menu.goal = pose
         self._wake()
 
     def _read(self, feedback: InteractiveMarkerFeedback) -> Pose:
@@ -291,10 +278,9 @@ class ToolMarkerNode:
         self._finished = execution.plan_id
         plan = self._listener.plan(execution.plan_id)
         if plan is not None:
-            self._goal.reached(self._chain.forward(plan.trajectory.positions[-1]))
+            self._menu.reached(self._chain.forward(plan.trajectory.positions[-1]))
 
     def _follow(self) -> None:
-        """Put the marker where the tool is."""
         try:
             tool = self._chain.forward(self._twin.pose(MAX_POSE_AGE))
         except (PoseUnknownError, PayloadError) as error:
@@ -353,18 +339,18 @@ class ToolMarkerNode:
         if verdict is None:
             return Report(WARN, self._problem)
         free = "free" if verdict.reach is Reach.FREE else "not free"
-        return Report(OK, f"{'follows the tool' if self._goal.pose is None else f'goal is {free}'}: {verdict.sentence}")
+        return Report(OK, f"{'follows the tool' if self._menu.goal is None else f'goal is {free}'}: {verdict.sentence}")
 
 
-INTERFACE = Interface(
+INTERFACE = shell.Interface(
     report=ToolMarkerNode.report,
-    publishes=(Publication("tool_marker/verdict", MarkerArray, queue_size=2, latch=True),),
-    reads=(NewestPose("twin/joint_states"),),
+    publishes=(shell.Publication("tool_marker/verdict", MarkerArray, queue_size=2, latch=True),),
+    reads=(shell.NewestPose("twin/joint_states"),),
     hears=(
-        Subscription("scene", SceneMsg, ToolMarkerNode.on_scene, queue_size=1),
-        Subscription("tool_marker/feedback", InteractiveMarkerFeedback, ToolMarkerNode.on_click, queue_size=50),
+        shell.Subscription("scene", SceneMsg, ToolMarkerNode.on_scene, queue_size=1),
+        shell.Subscription("tool_marker/feedback", InteractiveMarkerFeedback, ToolMarkerNode.on_click, queue_size=50),
     ),
     listeners=REPORTS,
 )
-NODE = NodeShell("tool_marker", Settings, ToolMarkerNode, INTERFACE)
+NODE = shell.NodeShell("tool_marker", Settings, ToolMarkerNode, INTERFACE)
 main = NODE.run

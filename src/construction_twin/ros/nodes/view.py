@@ -20,11 +20,7 @@ ROBOT = "kr120"
 
 
 def view_for(text: str, robot: str, above: str = "/") -> str:
-    """Return a view file's text for a robot of another name: `kr120` as a whole word becomes its name.
-
-    Args:
-        above: Namespace that the robots are in: topics and parameters of `kr120`, `kr120_1` and so on begin with it.
-    """
+    """Return a view file's text for a robot of another name, for which `kr120` as a whole word stands, in namespace `above`."""
     return re.sub(rf"\b{ROBOT}\b", robot, re.sub(rf": /(?={ROBOT}\w*/)", f": {above}", text))
 
 

@@ -1,6 +1,4 @@
-"""virtual_robot: the twin. Executes `command/joint_states`, publishes `twin/joint_states`: where it is told to be, or, with
-`twin:=mujoco` and `twin:=gazebo`, where an arm with mass would be. What is commanded is `twin/commanded` then.
-"""
+"""virtual_robot: the twin: publishes where it is told to be, or where an arm with mass would be."""
 
 from __future__ import annotations
 
@@ -18,18 +16,8 @@ from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.msg import Link, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
+from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.node_shell import (
-    Interface,
-    NodeShell,
-    Ports,
-    PosePublication,
-    PoseSubscription,
-    Publication,
-    Shared,
-    Subscription,
-    has_arm,
-)
 from construction_twin.ros.shared.params import NodeSettings
 from construction_twin.ros.transport.cycle import Cycles
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
@@ -42,11 +30,7 @@ EFFORT_PERIOD = NANOSECONDS // 50
 
 
 class Settings(NodeSettings):
-    """Private parameters, given in launch/gate.launch; what follows `twin` counts with mujoco alone.
-
-    Attributes:
-        payload: At the flange at all times: mass [kg], or mass and centre in the tip link [m]; empty: nothing.
-    """
+    """Private parameters, given in launch/bringup.launch; what follows `twin` counts with mujoco alone."""
 
     arm: Literal["mock", "real", "none"]
     twin: Literal["kinematic", "mujoco", "gazebo"]
@@ -74,7 +58,7 @@ def is_in_gazebo(settings: Settings) -> bool:
 class VirtualRobotNode:
     """ROS around a VirtualRobot and its TwinClock."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
         self._robot = VirtualRobot(robot.home if settings.arm == "none" else None, robot.linear)
         self._limits, self._names, self._diagnostics = MotionLimits.of(robot), robot.joint_names, ports.diagnostics
         self._publishers, self._twin = ports.publishers, ports.publishers["twin/joint_states"]
@@ -227,25 +211,25 @@ class VirtualRobotNode:
         return Report(WARN, problem, values) if problem else Report(OK, said, values)
 
 
-INTERFACE = Interface(
+INTERFACE = shell.Interface(
     report=VirtualRobotNode.report,
     publishes=(
-        PosePublication("twin/joint_states"),
-        PosePublication("twin/commanded", when=has_mass),
-        Publication("twin/effort", JointState, queue_size=5, when=is_simulated_here),
+        shell.PosePublication("twin/joint_states"),
+        shell.PosePublication("twin/commanded", when=has_mass),
+        shell.Publication("twin/effort", JointState, queue_size=5, when=is_simulated_here),
     ),
     hears=(
-        PoseSubscription("command/joint_states", VirtualRobotNode.on_command),
-        Subscription("link", Link, VirtualRobotNode.on_link, queue_size=5, when=has_arm),
-        PoseSubscription("physical/joint_states", VirtualRobotNode.on_physical, when=has_arm),
-        Subscription("work/tasks", WorkTasks, VirtualRobotNode.on_tasks, queue_size=1, when=is_simulated_here),
-        Subscription("scene", SceneMsg, VirtualRobotNode.on_scene, queue_size=1, when=is_simulated_here),
-        PoseSubscription("gazebo/joint_states", VirtualRobotNode.on_simulated, when=is_in_gazebo),
+        shell.PoseSubscription("command/joint_states", VirtualRobotNode.on_command),
+        shell.Subscription("link", Link, VirtualRobotNode.on_link, queue_size=5, when=shell.has_arm),
+        shell.PoseSubscription("physical/joint_states", VirtualRobotNode.on_physical, when=shell.has_arm),
+        shell.Subscription("work/tasks", WorkTasks, VirtualRobotNode.on_tasks, queue_size=1, when=is_simulated_here),
+        shell.Subscription("scene", SceneMsg, VirtualRobotNode.on_scene, queue_size=1, when=is_simulated_here),
+        shell.PoseSubscription("gazebo/joint_states", VirtualRobotNode.on_simulated, when=is_in_gazebo),
     ),
 )
 
 
-def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
+def check(settings: Settings, robot: RobotModel, *_: object) -> None:
     """Check that a twin with mass can be simulated; see `NodeShell`."""
     if settings.twin == "gazebo" and settings.payload:
         raise ConfigurationError(
@@ -258,5 +242,5 @@ def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
         extension("physics.nodes.simulated_twin").check(settings, robot)
 
 
-NODE = NodeShell("virtual_robot", Settings, VirtualRobotNode, INTERFACE, check, fast=True)
+NODE = shell.NodeShell("virtual_robot", Settings, VirtualRobotNode, INTERFACE, check, fast=True)
 main = NODE.run

@@ -42,14 +42,7 @@ _KEPT = 8
 
 
 class NeighbourSettings(NodeSettings):
-    """Parameters ``neighbour/...`` of a robot that has another one beside it, explained in config/neighbour.yaml.
-
-    The node `neighbour` owns them, and its ``realtime_priority`` is among them; the planner reads them, too.
-
-    Attributes:
-        name: Of the other robot: its namespace. Given in launch/twin.launch.
-        padding: [m]
-    """
+    """Parameters ``neighbour/...`` of a robot that has another one, `name`, beside it; see config/neighbour.yaml. Lengths in m."""
 
     name: Annotated[str, pydantic.Field(min_length=1)]
     padding: Annotated[float, pydantic.Field(ge=0.01, le=10.0)]
@@ -62,12 +55,7 @@ def neighbour_settings() -> NeighbourSettings | None:
 
 
 class Claim(NamedTuple):
-    """What an arm has from the approval of a plan to its end; of two arms the one with the smaller claim goes first.
-
-    Attributes:
-        since: Stamp of the plan's first setpoint [ns]; inf before.
-        robot: Its name.
-    """
+    """What an arm has from a plan's approval to its end, since its first setpoint [ns] (inf before); the smaller one goes first."""
 
     since: float
     robot: str
@@ -88,12 +76,7 @@ ARM_POSES = ("twin/joint_states", "physical/joint_states")
 
 
 class ArmListener:
-    """Listens to an arm's own topics.
-
-    Args:
-        robot: Its name is its namespace.
-        above: What that is in: ``/``, or ``/cell/``.
-    """
+    """Listens to an arm's own topics in namespace `above`, ``/`` or ``/cell/``."""
 
     def __init__(self, robot: RobotModel, above: str, refused: Refuse):
         self.robot = robot
@@ -165,26 +148,14 @@ class ArmListener:
 
 @dataclass(frozen=True)
 class Occupied:
-    """The space that the other arm occupies.
-
-    Attributes:
-        claim: None: it follows no plan.
-        obstacles: Along the whole path of the plan that it follows, otherwise where it is.
-    """
+    """The space that the other arm occupies: along the whole path of the plan that it follows, else where it is (`claim` None)."""
 
     claim: Claim | None
     obstacles: tuple[Obstacle, ...]
 
 
 class OtherArm:
-    """The other arm as obstacles in the world of ours.
-
-    Not for use from several threads at once.
-
-    Args:
-        poses: Of the commanded and, where there is a physical arm, of the measured pose.
-        arm: The other robot without what it carries.
-    """
+    """The other arm as obstacles in the world of ours, by its commanded and measured poses. For one thread."""
 
     def __init__(self, listener: ArmListener, poses: tuple[LatestPose, ...], arm: Neighbour):
         self._listener = listener
@@ -195,10 +166,7 @@ class OtherArm:
         self._known: tuple[SceneValue, str] | None = None
 
     def occupied(self) -> Occupied:
-        """Return the space that the arm occupies: the same obstacles while that is the same.
-
-        NeighbourUnknownError if its pose, its plan or its load is not known.
-        """
+        """Return the space that it occupies, the same object while that is the same; NeighbourUnknownError if not known."""
         name, scene, claim = self._arm.name, self._listener.scene, self._listener.claim()
         if scene is None:
             raise NeighbourUnknownError(name, Sentence("its scene, with what it carries, was not received"))

@@ -48,11 +48,7 @@ class DeferredLog:
 
 
 class RefusalLog:
-    """Decides which refusals are written: a stranger once per stream, others at most every 5 s per reason; from several threads.
-
-    Args:
-        clock: Returns a time from any origin [ns].
-    """
+    """Decides which refusals are written: a stranger once per stream, others at most every 5 s per reason; from several threads."""
 
     def __init__(self, clock: Callable[[], int] = time.monotonic_ns):
         self._clock = clock
@@ -96,10 +92,7 @@ class Report:
 
 
 class NodeDiagnostics:
-    """Counts refusals and reports them with a node's state; for use from several threads.
-
-    Who refuses may hold the lock of a cycle, or be the thread in which the next stop comes: it never waits for the log.
-    """
+    """Counts refusals and reports them with a node's state, from several threads, and never has one of them wait for the log."""
 
     def __init__(self, hardware_id: str, report: Callable[[], Report]):
         self._lock = threading.Lock()
@@ -126,10 +119,7 @@ class NodeDiagnostics:
             return Counter(self._refused)
 
     def refuse(self, reason: str, sentence: str) -> None:
-        """Count a rejected input, and have it said in the log with this node's name (`RefusalLog`), in a thread that may wait.
-
-        `/diagnostics` shows the last one.
-        """
+        """Count a rejected input, and have it said in the log (`RefusalLog`) by a thread that may wait."""
         self.count(reason, sentence)
         if (more := self._log.note(reason, sentence)) is not None:
             self._said.add(rospy.logwarn, "%s refused (%s): %s%s", rospy.get_name(), reason, sentence, more)

@@ -1,11 +1,7 @@
 """Frames that people name in requests: the robot's links by their URDF names, and every frame that tf knows.
 
-Each frame of tf is believed from one node. Frames of a robot's three trees (``<robot>/twin``, ``physical``, ``preview``) come from
-the nodes of its bringup. Any other frame, of a table or a building model, may come from anybody, but from one node at a time: the
-first one, until it is gone. What a second one says is refused and counted. So a bag played into a live system moves no frame of it.
-
-Frames of ``<robot>/simulated``, where an arm with mass would be, are for people to look at: nothing is looked up in them, because a
-simulated pose is never commanded.
+Each frame of tf is believed from one node: those of a robot's trees from the nodes of its bringup, any other one from the first
+that publishes it, until it is gone. Nothing is looked up in ``<robot>/simulated``: a simulated pose is never commanded.
 """
 
 from __future__ import annotations
@@ -44,11 +40,7 @@ FRAMES = ("/tf", "/tf_static")
 
 
 class FrameListener:
-    """Fills a buffer with what is heard of frames.
-
-    Args:
-        refused: Called as ``refused(reason, sentence)`` for a transform of a node that may not publish its frame.
-    """
+    """Fills a buffer with what is heard of frames; others' are `refused(reason, sentence)`."""
 
     def __init__(self, refused: Callable[[str, str], None]):
         self.buffer = tf2_ros.Buffer()
@@ -89,7 +81,6 @@ class FrameListener:
         self._last = now
 
     def _problem(self, frame: str, caller: str) -> str:
-        """Return why a node may not publish a frame; "" when it may."""
         who = caller or "a node without a name"
         robot, tree = _tree(frame)
         if tree in PUBLISHERS:
@@ -113,15 +104,7 @@ def _tree(frame: str) -> tuple[str, str]:
 
 
 class Frames:
-    """Where a frame is in the robot's base.
-
-    Args:
-        tf_prefix: Of the twin's tf frames.
-        timeout: How long a frame is waited for [s].
-
-    Attributes:
-        base: tf frame of the robot's base.
-    """
+    """Where a frame is in the robot's `base`, a tf frame; one is waited for `timeout` [s]."""
 
     def __init__(self, robot: RobotModel, tf_prefix: str, buffer: tf2_ros.Buffer, timeout: float = 0.0):
         self.base = tf_frame(tf_prefix, robot.base_link)
@@ -133,11 +116,7 @@ class Frames:
         return self._links.get(frame, frame) if frame else self.base
 
     def in_base(self, frame: str, stamp: rospy.Time) -> Pose:
-        """Return where a frame is in the base at a stamp (0: the latest); the base itself is known without tf.
-
-        Raises:
-            FrameError: If it is not known, with the frames that are.
-        """
+        """Return where a frame is in the base at a stamp (0: the latest); FrameError, with those that are known, else."""
         name = self.tf_name(frame)
         if name == self.base:
             return Pose(np.zeros(3), np.eye(3))

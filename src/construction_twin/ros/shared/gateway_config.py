@@ -1,7 +1,4 @@
-"""The gateway's configuration, from robot model and link settings on the parameter server.
-
-Used by the exporter, by the gateway's start on this machine, and by the bridge, which compares hashes.
-"""
+"""The gateway's configuration, from robot model and link settings on the parameter server."""
 
 from __future__ import annotations
 
@@ -29,12 +26,7 @@ def config_from_parameters(namespace: str = "", parameters: Parameters = rospy) 
 
 
 def config_of_link(robot: RobotModel, settings: Mapping | None, needs_file: bool = True) -> GatewayConfig:
-    """Return the configuration of a robot's `gateway` parameters.
-
-    Args:
-        needs_file: Whether the file that describes a controller's telegrams belongs to it, where the make has one; it does not with
-            a bare PLC.
-    """
+    """Return the configuration of a robot's `gateway` parameters; a bare PLC needs no file of the controller's telegrams."""
     if settings is None:
         raise ConfigurationError(f"{robot.name}/gateway", None, "link settings, as launch/bringup.launch loads them")
     form = make_of(settings.get("make", DEFAULT)).file
@@ -45,14 +37,10 @@ def config_of_link(robot: RobotModel, settings: Mapping | None, needs_file: bool
 
 
 def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
-    """Return the configuration of the gateway of `robot`.
+    """Return the configuration of the gateway of `robot`, whose joint ranges become those of the controller's axes.
 
-    Args:
-        robot: Its joint ranges are turned into ranges of the controller's axes (sign and offset).
-        settings: The other keys of `GatewayConfig`, SI units; see config/gateway.yaml. In place of `layout` it holds `make`, the
-            controller's, and `ethernet_xml`: path or text of the file that describes its telegrams; none: the make's plain layout.
-            `timeout` is a number of the controller's cycles; `tool` is the content of a tool file, {} for none. A layout without
-            any channel of a tool makes it a tool without hands: the configuration has none then.
+    `settings`: keys of `GatewayConfig` in SI, see config/gateway.yaml; in place of `layout` `make` and `ethernet_xml`, path or
+    text; `timeout` in cycles; `tool` a tool file's content, left out where the layout has no channel of one.
     """
     axes = tuple(axis.name for axis in robot.axes)
     settings = dict(settings)

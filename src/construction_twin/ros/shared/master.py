@@ -34,12 +34,7 @@ FAILURES = (OSError, ValueError, http.client.HTTPException, xmlrpc.client.Error)
 
 @dataclass(frozen=True)
 class RunningNode:
-    """A node that is registered, and was not found to have ended.
-
-    Attributes:
-        pid: None: it is registered, but does not answer.
-        tells_name: False: what answers may be another node, which has the port of this one.
-    """
+    """A node that is registered; `pid` None: it does not answer; without `tells_name` what answers may be another node."""
 
     name: str
     host: str
@@ -78,12 +73,7 @@ def ask(uri: str, timeout: float, question: str, *words: str) -> tuple[int, Any]
 
 
 def await_master(timeout: float = TIMEOUT) -> None:
-    """Return when the master of ROS_MASTER_URI has answered.
-
-    Raises:
-        ConfigurationError: When ROS_MASTER_URI is no address.
-        SilenceError: When no master answers there within a time [s].
-    """
+    """Return when the master has answered; ConfigurationError for no address, SilenceError after `timeout` [s]."""
     uri = rosgraph.get_master_uri()
     address = urllib.parse.urlsplit(uri)
     if address.scheme != "http" or not address.hostname:
@@ -96,13 +86,7 @@ def await_master(timeout: float = TIMEOUT) -> None:
 
 
 def wait_for_master(name: str) -> None:
-    """Return when the master of ROS_MASTER_URI answers; say once when that takes longer.
-
-    A node that starts while the master is away (it was killed, or starts later) waits, as ROS has it, but in one line.
-
-    Raises:
-        ConfigurationError: When ROS_MASTER_URI is no address.
-    """
+    """Return when the master answers, saying once that this takes longer; ConfigurationError where ROS_MASTER_URI is no address."""
     said = False
     while True:
         try:
@@ -140,11 +124,7 @@ def publishing_nodes(topic: str) -> list[str]:
 
 
 def expect_publisher(topic: str, patience: float = ANSWER) -> None:
-    """Return when a node that publishes a topic answers: one that is down is told from one that has nothing to say yet.
-
-    Raises:
-        SilenceError: When none is registered, or those that are do not answer.
-    """
+    """Return when a node that publishes a topic answers; SilenceError where none is registered, or answers."""
     names = publishing_nodes(topic)
     # twice, because a machine under load may lose a question
     answers = (node.pid for _ in range(2) for node in running(names, rosgraph.get_master_uri(), patience))
@@ -157,8 +137,7 @@ def expect_publisher(topic: str, patience: float = ANSWER) -> None:
 def running(names: Iterable[str], uri: str, patience: float = NODE_TIMEOUT) -> list[RunningNode]:
     """Return which nodes run now; none when there is no master.
 
-    A node that was killed stays registered: whether it lives, it is asked itself. One whose machine refuses the connection, or
-    whose port now belongs to a node of another name, has ended; one that keeps silent for `patience` [s] may live.
+    One that was killed stays registered, so each is asked: refused connections and other names mean that it has ended.
     """
     try:
         found = {name: ask(uri, TIMEOUT, "lookupNode", name) for name in names}

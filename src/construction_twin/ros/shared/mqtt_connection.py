@@ -22,12 +22,7 @@ GRACE = 1.0
 
 
 class MqttSettings(NodeSettings):
-    """Where the broker is, and which account to use; given in launch/link.launch.
-
-    Attributes:
-        prefix: First level of the topics.
-        account: Account file on this machine; empty: anonymous, without TLS. No secret is ever a parameter.
-    """
+    """Where the broker is, and the account file (empty: anonymous, without TLS); `prefix`: first level of the topics."""
 
     host: str
     port: int = pydantic.Field(gt=0, lt=65536)
@@ -100,5 +95,4 @@ def connect(
 
 
 def _alone(take: Callable[[MQTTMessage], None]) -> Callable[[object, object, MQTTMessage], None]:
-    """Return a callback for paho that hands on the message alone."""
     return lambda _client, _data, message: take(message)

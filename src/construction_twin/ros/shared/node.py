@@ -1,16 +1,7 @@
 """What every node does around its own work: start, turn a typed error into one sentence, end.
 
-An unexpected exception ends the process, in whatever thread it occurs, and roslaunch starts another one. A process that lives
-on without one of its timers, or without its MQTT thread, is worse: it looks alive, and does not work.
-
-==========================  =========================================================================================
-where                       how it comes here
-==========================  =========================================================================================
-thread, timer, MQTT client  not caught: `threading.excepthook`
-subscriber's callback       rospy would log it and go on; `Subscriber` hands it to `threading.excepthook`
-service handler             rospy answers with an error; `Service` ends the process after that
-main thread                 not caught: Python ends with 1
-==========================  =========================================================================================
+An unexpected exception ends the process, in whatever thread it occurs, and roslaunch starts another one: by
+`threading.excepthook` in threads, timers, MQTT client and `Subscriber`, by `Service` after its answer.
 """
 
 from __future__ import annotations
@@ -45,11 +36,7 @@ WRITE_TIME = 1.0
 def run_node(name: str, start: Callable[[], object], refused: Callable[[str], object] = refuse) -> None:
     """Initialise ROS, build the node, serve until shutdown.
 
-    The private parameter ``~realtime_priority``, where a node has one, applies to all its threads.
-
-    Args:
-        start: Builds the node; its result is kept alive. A result with a `run` method is run in the main thread.
-        refused: Takes why it cannot start; returns when the process should end.
+    The result of `start` is kept alive; one with a `run` method is run in the main thread. `refused` takes why it cannot start.
     """
     try:
         wait_for_master(name)
@@ -109,10 +96,7 @@ def _serve(name: str, start: Callable[[], object], refused: Callable[[str], obje
 def ending_on_signals() -> Iterator[None]:
     """Have SIGINT and SIGTERM shut ROS down from a thread of its own, from before `rospy.init_node` to the node's end.
 
-    rospy's own handler unregisters the node in the midst of whatever the main thread is doing. If that is a question to the
-    master, as in every log line, the handler waits for a lock that the main thread holds, until roslaunch kills the process.
-    The block ends when ROS is shut down, if a signal has begun that. For the main thread; give `rospy.init_node`
-    ``disable_signals=True``.
+    rospy's own handler unregisters the node in the midst of what the main thread does, and waits for its locks.
     """
     signals, to_signals = os.pipe()
 
@@ -139,10 +123,7 @@ def ending_on_signals() -> Iterator[None]:
 
 
 def _report_lines_that_cannot_be_written() -> None:
-    """Have a log line that cannot be written, on a full disk, told on standard error, as Python's own handlers do.
-
-    rosgraph's handler lets the error through: whoever says something by `rospy.loginfo` would end by it.
-    """
+    """Have a log line that a full disk refuses told on standard error: rosgraph's handler raises it."""
     emit = RosStreamHandler.emit
 
     def emit_or_report(self: RosStreamHandler, record: logging.LogRecord) -> None:
@@ -157,7 +138,7 @@ def _report_lines_that_cannot_be_written() -> None:
 def end_on_error(args: threading.ExceptHookArgs) -> None:
     """End the process because of an error that was not caught in a thread; while ROS shuts down, only write it down.
 
-    Nothing is cleaned up: the thread that failed may hold a lock, and what must not be lost is on the disk before it takes effect.
+    Nothing is cleaned up: the thread that failed may hold a lock.
     """
     if args.exc_type is SystemExit:
         return
@@ -175,11 +156,7 @@ def end_on_error(args: threading.ExceptHookArgs) -> None:
 
 
 class Service(rospy.Service):
-    """As `rospy.Service`. A handler that raises is answered with the error, and then the process ends.
-
-    Args:
-        handler: Takes the request, returns the response; turns typed errors into an answer itself.
-    """
+    """As `rospy.Service`; a handler that raises is answered with the error, and then the process ends."""
 
     def __init__(self, name: str, kind: type, handler: Callable):
         super().__init__(name, kind, handler, error_handler=self._end)

@@ -1,8 +1,6 @@
-"""A robot's node: its parameters, their check, and all that it has to do with ROS, declared before it starts; `Ports` opens that.
+"""A robot's node: its parameters, their check, and all that it has to do with ROS, as data; `Ports` opens that.
 
-A declaration is data, so that a test without a master compares it with docs/reference/topics.md. Its handler is a function whose
-first argument is the node, mostly a method of its class; it is bound to the node once, when the subscription is opened: what comes
-in afterwards goes directly to the method.
+A handler's first argument is the node; it is bound once, when the subscription is opened.
 """
 
 from __future__ import annotations
@@ -51,13 +49,7 @@ def has_arm(settings: Any) -> bool:
 
 @dataclass(frozen=True)
 class SharedParameter:
-    """A parameter beside the node's private ones, read once, before the node is made.
-
-    Attributes:
-        name: In the robot's namespace, or absolute.
-        default: What counts where there is none.
-        kept: Whether the node writes it too, for the process after it (`Ports.keeper`).
-    """
+    """A parameter of the robot, read once before the node is made; `kept`: the node writes it for the process after it."""
 
     name: str
     default: object = None
@@ -66,11 +58,7 @@ class SharedParameter:
 
 @dataclass(frozen=True)
 class Publication:
-    """A topic that the node publishes.
-
-    Attributes:
-        kind: Of its messages; the name of one that need not be installed, as ``moveit_msgs/PlanningScene``: then there is no topic.
-    """
+    """A topic that the node publishes; a `kind` by name, ``moveit_msgs/PlanningScene``, need not be installed."""
 
     topic: str
     kind: type | str
@@ -129,11 +117,7 @@ class Subscription:
 
 @dataclass(frozen=True)
 class PoseSubscription:
-    """Poses that the node hears, each of them.
-
-    Attributes:
-        handler: Takes the node, a stamp [ns] and positions [rad]; of `Feedback` also its number and the command's stamp [ns].
-    """
+    """Poses that the node hears: the handler takes it, stamp [ns], positions [rad]; of `Feedback` also seq and command stamp."""
 
     topic: str
     handler: Callable[..., object]
@@ -157,13 +141,9 @@ class NewestPose:
 
 @dataclass(frozen=True)
 class Served:
-    """A service: its answer has `success`, `message` and what else its kind has.
+    """A service, whose answer has `success`, `message` and what else its kind has; a typed error of the handler is a refusal.
 
-    Attributes:
-        handler: Takes node and request; returns what became of it, or only the sentence where it was done. A typed error that it
-            raises is a refusal.
-        reason: As what a refusal is counted that has no reason of its own, or what returns that of a request; "": as its type.
-        refused: Takes node and request; returns further fields of a refusal.
+    `reason`: as what a refusal is counted that has none of its own, "": its type. `refused`: returns further fields of a refusal.
     """
 
     name: str
@@ -194,14 +174,7 @@ class Every:
 
 @dataclass(frozen=True)
 class Interface:
-    """All that a node has to do with ROS.
-
-    Attributes:
-        report: Takes the node; returns its state for `/diagnostics`. None: it reports nothing there, and has nothing to refuse.
-        reads: Poses that are asked for.
-        listeners: Topics that its collaborators hear by themselves.
-        every: Each in a thread of its own.
-    """
+    """All that a node has to do with ROS; `listeners`: topics that collaborators hear; without `report` it refuses nothing."""
 
     report: Callable[[Any], Report] | None = None
     parameters: tuple[SharedParameter, ...] = ()
@@ -220,13 +193,8 @@ class Interface:
 class Ports:
     """A node's topics and services, opened in an order in which nothing comes before somebody can take it.
 
-    What the node publishes, and the poses that it asks for, are there before it is made; what it hears comes once it is there,
-    requests after that, because then it can answer them. rospy takes all of them back at once when the process shuts down, before
-    anybody else hears of the shutdown.
-
-    Attributes:
-        parameters: Values of the shared ones, by name.
-        publishers, poses: By topic; without what is not there with these parameters.
+    What it publishes and asks for is there before it is made, what it hears after that, what it serves last. `parameters`: the
+    shared ones by name; `publishers`, `poses`: by topic, without what is not there with these parameters.
     """
 
     def __init__(self, interface: Interface, settings: Any, robot: RobotModel):
@@ -292,11 +260,7 @@ class Ports:
 class NodeShell(Generic[Settings]):
     """One robot's node, as its process starts it and as `preflight` checks it before anything starts.
 
-    Attributes:
-        start: Makes the node of these, its robot and what is open by then; a result with a `run` method is run in the main thread.
-        check: Takes parameters, robot and the shared parameters of the interface; raises a ConstructionTwinError where the node
-            cannot work with them, or must not. Changes nothing.
-        fast: It is on the 250 Hz path: its threads take turns every millisecond.
+    `check` raises a ConstructionTwinError where it cannot work, and changes nothing. `fast`: on the 250 Hz path.
     """
 
     name: str

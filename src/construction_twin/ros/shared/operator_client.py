@@ -17,15 +17,9 @@ from construction_twin.srv import PreviewPlan, ReviewPlan, TakeResponsibility
 
 
 class OperatorClient:
-    """Calls the services of one robot.
+    """Calls the services of one robot; RequestRefused where the answer is no, SilenceError where there is none.
 
-    Every method returns what became of the request, and raises `RequestRefused` with the system's sentence when the answer is no,
-    and `SilenceError` when there is no answer.
-
-    Args:
-        namespace: Of the robot, absolute: ``/kr120``.
-        timeout: How long to wait until a service is there [s]; an answer may take longer.
-        source: Who asks, for the reviewer.
+    `timeout`: for the service to be there [s]; an answer may take longer. `source`: who asks, for the reviewer.
     """
 
     def __init__(self, namespace: str, timeout: float, source: str):
@@ -48,10 +42,7 @@ class OperatorClient:
         return self.ask("review_plan", ReviewPlan, **request_fields(ReviewPlan, verdict))
 
     def trigger(self, service: str) -> Outcome:
-        """Call `stop`, `pause`, `resume` or `reset`.
-
-        A stop is called at once, without waiting for the service to appear.
-        """
+        """Call `stop`, `pause`, `resume` or `reset`; a stop at once, without waiting for the service to appear."""
         if service == "stop":
             try:
                 return _done(self._stop())

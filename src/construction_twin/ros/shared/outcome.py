@@ -11,12 +11,7 @@ from construction_twin.ros.messages.records import sentence_of, with_sentences
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a request; its names are those of the services' answers.
-
-    Attributes:
-        expired: It is void, because what its screen had shown is too old.
-        counted: As what it is counted; "": as done or not.
-    """
+    """What became of a request, by the names of the services' answers; `counted` as, "": as done or not."""
 
     success: bool
     message: str

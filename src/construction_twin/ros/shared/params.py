@@ -34,11 +34,7 @@ class PrivateSettings(pydantic.BaseModel):
 
 
 class NodeSettings(PrivateSettings):
-    """Private parameters of a node on the 250 Hz path.
-
-    Attributes:
-        realtime_priority: SCHED_FIFO priority where the system permits it; 0: none.
-    """
+    """Private parameters of a node on the 250 Hz path; SCHED_FIFO priority where the system permits it, 0: none."""
 
     realtime_priority: int = pydantic.Field(0, ge=0, le=99)
 
@@ -57,11 +53,7 @@ def read_parameters(model: type[Settings], parameters: Parameters = rospy) -> Se
 
 
 def robot_from_parameters(namespace: str = "", parameters: Parameters = rospy) -> RobotModel:
-    """Return the robot described by a namespace's ``robot_description`` (URDF) and ``robot`` (YAML) parameters.
-
-    Args:
-        namespace: ``/kr120/``; the node's own by default.
-    """
+    """Return the robot of a namespace's ``robot_description`` and ``robot`` parameters: ``/kr120/``; the node's own by default."""
     names = [namespace + name for name in ("robot_description", "robot")]
     values = [parameters.get_param(name, None) for name in names]
     for name, value in zip(names, values):

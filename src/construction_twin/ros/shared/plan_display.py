@@ -18,7 +18,6 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan as MadePlan
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
 from construction_twin.ros.messages.display_markers import (
-    all_gone,
     grip_markers,
     headline_height,
     plan_markers,
@@ -38,16 +37,12 @@ PLAN_TIMEOUT = 1.0
 
 
 class PlanDisplay:
-    """ROS around a Preview.
-
-    Args:
-        tf_prefix: Of the ghost's frames.
-    """
+    """ROS around a Preview; `tf_prefix`: of the ghost's frames."""
 
     def __init__(self, robot: RobotModel, shapes: list[Marker], tf_prefix: str, ports: Ports):
         self._robot, self._shapes, self._tf_prefix = robot, shapes, tf_prefix
         self._chain = Chain(robot)
-        self._markers, self._rehearsal = ports.publishers["plan_markers"], ports.publishers["rehearsal_markers"]
+        self._markers = ports.publishers["plan_markers"]
         self._refuse = ports.diagnostics.refuse
         self._preview = Preview()
         self._scene: Scene | None = None
@@ -55,6 +50,7 @@ class PlanDisplay:
         self._states: WorkStates | None = None
         self._gripped: tuple[SceneObject, ...] = ()
         self._still: list[Marker] = []
+        self._rehearsed: list[Marker] = []
         #: The newest: it may come before its plan, and never after the next plan's.
         self._report: RehearsalReport | None = None
         #: Made when the first rehearsal comes: where there is none, nobody pays for them.
@@ -135,12 +131,7 @@ class PlanDisplay:
             return self._preview.play(request.speed, request.loop, time.monotonic())
 
     def ghost(self, now: float, twin: tuple[float, ...] | None) -> tuple[float, ...] | None:
-        """Return where the ghost is; None before the twin has a pose and without a plan.
-
-        Args:
-            now: On the monotonic clock [s].
-            twin: The twin's newest pose [rad], [m]; None: unknown.
-        """
+        """Return where the ghost is at a monotonic time [s]; None before the twin has a pose and without a plan."""
         with self._news:
             if twin is not None:
                 self._preview.on_twin(twin)
@@ -148,7 +139,6 @@ class PlanDisplay:
             return self._preview.pose(now)
 
     def _draw(self) -> None:
-        """Publish the markers of another plan than the one drawn, or their removal."""
         self._draw_plan()
         self._draw_rehearsal()
 
@@ -158,7 +148,7 @@ class PlanDisplay:
         if name == self._drawn:
             return
         self._drawn = name
-        self._still, self._states = [all_gone("plan")], None
+        self._still, self._states = [], None
         self._gripped = ()
         if plan is not None:
             changes, chain = self._changes.get(plan.id, ()), self._chain
@@ -168,13 +158,12 @@ class PlanDisplay:
         self._grip(time.monotonic())
 
     def _draw_rehearsal(self) -> None:
-        """Publish the markers of the rehearsal of the plan under review, or their removal."""
         plan, report = self._preview.under_review, self._report
         rehearsed = report and (report.plan_id, report.plan_hash, report.scene)
         if plan is None or report is None or rehearsed != (plan.id, plan.hash, plan.scene):
             if self._rehearsal_drawn is not None:
-                self._rehearsal_drawn = None
-                self._rehearsal.publish(MarkerArray(markers=[all_gone("rehearsal")]))
+                self._rehearsal_drawn, self._rehearsed = None, []
+                self._publish()
             return
         carried = self._carried(plan, report.worst_time)
         drawn = report.plan_id, report.hash, bool(carried)
@@ -184,8 +173,8 @@ class PlanDisplay:
         if self._bodies is None:
             self._bodies = RobotBodies(self._robot)
         link_pose, length = self._bodies.link_pose, self._chain.arm_length
-        markers = rehearsal_markers(report, self._shapes, link_pose, length, carried, self._frame)
-        self._rehearsal.publish(MarkerArray(markers=[all_gone("rehearsal"), *markers]))
+        self._rehearsed = rehearsal_markers(report, self._shapes, link_pose, length, carried, self._frame)
+        self._publish()
 
     def _carried(self, plan: MadePlan, at: float) -> tuple[SceneObject, ...]:
         """Return what the arm carries at a time of a plan [s], where the scene that it begins in is known."""
@@ -208,4 +197,6 @@ class PlanDisplay:
 
     def _publish(self) -> None:
         """Publish all that is drawn: who listens later hears the last message only."""
-        self._markers.publish(MarkerArray(markers=[*self._still, *grip_markers(self._gripped, self._tf_prefix)]))
+        gripped = grip_markers(self._gripped, self._tf_prefix)
+        gone = Marker(ns="plan", action=Marker.DELETEALL)
+        self._markers.publish(MarkerArray(markers=[gone, *self._still, *gripped, *self._rehearsed]))

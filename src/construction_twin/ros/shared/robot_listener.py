@@ -42,16 +42,7 @@ REPORTS = tuple(_REPORTS)
 
 
 class RobotListener:
-    """Keeps the newest message of each report, from the node that publishes it.
-
-    Args:
-        namespace: Of the robot, absolute: ``/kr120``.
-        refuse: Called as ``refuse(reason, sentence)`` for a report from another node than the one that publishes it; by default a
-            warning.
-
-    Attributes:
-        refused: Why the last plan that was received could not be read; empty when it could.
-    """
+    """Keeps the newest message of each report from the node that publishes it; `refused`: why the last plan cannot be read."""
 
     def __init__(
         self,

@@ -1,7 +1,6 @@
 """How a start is refused: a node publishes one sentence on `start_refused`, and `startup` ends the launch.
 
-Where `startup` does not, because the arm may be moving by now, the node ends after a while, and roslaunch starts it again: what
-was in its way may have passed.
+Where the arm may be moving by now `startup` does not: then the node ends after a while, and roslaunch starts it again.
 """
 
 from __future__ import annotations
@@ -32,9 +31,7 @@ def launch() -> str:
 
 
 def expect_no_other(name: str) -> None:
-    """Raise a ConfigurationError where a node of this name runs, which the master would end in favour of this one, or where another
-    launch has started the robot.
-    """
+    """Raise a ConfigurationError where a node of this name runs, or another launch has started the robot."""
     uri = rosgraph.get_master_uri()
     name = rosgraph.names.load_mappings(sys.argv).get("__name", name)
     own, startup = (rosgraph.names.ns_join(rosgraph.names.get_ros_namespace(), each) for each in (name, "startup"))
@@ -49,7 +46,6 @@ def expect_no_other(name: str) -> None:
 
 
 def _is_beside(node: RunningNode) -> bool:
-    """Return whether a node is of this process's launch."""
     try:
         return f"{VARIABLE}={launch()}".encode() in Path(f"/proc/{node.pid}/environ").read_bytes().split(b"\0")
     except OSError:
@@ -77,11 +73,7 @@ def expect_own_parameters() -> None:
 
 
 def refuse(sentence: str, log: bool = True) -> NoReturn:
-    """Publish why this node cannot start, and end, at the latest after `AGAIN`; started by hand, end with the sentence.
-
-    Args:
-        log: Whether standard output is a log file, as of a node whose `output` is not the screen.
-    """
+    """Publish why this node cannot start, print it into a `log` file, and end after `AGAIN`; started by hand, at once."""
     import rospy
 
     from construction_twin.msg import StartRefused

@@ -15,15 +15,7 @@ _AGAIN = NANOSECONDS
 
 
 class StopMemory:
-    """A text, "" for nothing, or a bool on the parameter server.
-
-    Args:
-        value: What is on the parameter server now.
-        write: Puts it there, in a thread of its own: it may take as long as the master does.
-
-    Attributes:
-        problem: Why it could not be kept; empty when it could.
-    """
+    """A text, "" for nothing, or a bool on the parameter server, written by a thread that may wait; `problem`: why it was not."""
 
     def __init__(self, value: object, write: Callable[[Any], object], name: str = PARAMETER):
         self.problem = ""

@@ -35,35 +35,6 @@ def in_thread(title: str, action: Callable[[], None]) -> None:
     threading.Thread(target=action, name=title, daemon=True).start()
 
 
-class MarkerGoal:
-    """Where the marker was dragged to, as ``base_T_tool``; may be used by several threads."""
-
-    def __init__(self):
-        self._lock = threading.Lock()
-        self._pose: Pose | None = None
-
-    @property
-    def pose(self) -> Pose | None:
-        """The goal; None while the marker follows the tool."""
-        return self._pose
-
-    def drag(self, pose: Pose) -> None:
-        """Take a new goal."""
-        with self._lock:
-            self._pose = pose
-
-    def drop(self) -> None:
-        """Let the marker follow the tool again."""
-        with self._lock:
-            self._pose = None
-
-    def reached(self, end: Pose) -> None:
-        """Drop the goal if a motion has ended there; a goal that was dragged further meanwhile stays."""
-        with self._lock:
-            if self._pose is not None and not moved(self._pose, end, REACHED):
-                self._pose = None
-
-
 def moved(before: Pose, after: Pose, tolerance: float = STILL) -> bool:
     """Return whether two poses differ by more than a tolerance [m, and elements of the rotation]."""
     position, rotation = np.abs(after.position - before.position), np.abs(after.rotation - before.rotation)
@@ -71,18 +42,12 @@ def moved(before: Pose, after: Pose, tolerance: float = STILL) -> bool:
 
 
 class ToolMarkerMenu:
-    """Carries out what an operator chooses.
-
-    Args:
-        home: Length n. The robot's home pose [rad], [m] for prismatic joints.
-        run: ``run(title, action)`` runs an action; `in_thread` by default.
-    """
+    """Carries out what an operator chooses, by `run(title, action)`; `home` in [rad], [m]."""
 
     def __init__(
         self,
         client: OperatorClient,
         under_review: Callable[[], Plan | None],
-        goal: MarkerGoal,
         home: Sequence[float],
         reviewer: str,
         say: Callable[[str], None],
@@ -90,7 +55,8 @@ class ToolMarkerMenu:
     ):
         self._client = client
         self._under_review = under_review
-        self._goal = goal
+        #: Where the marker was dragged to, as ``base_T_tool``; None: it follows the tool.
+        self.goal: Pose | None = None
         self._reviewer = reviewer
         self._say = say
         self._run = run
@@ -131,6 +97,12 @@ class ToolMarkerMenu:
         if plan_id != self._shown[0]:
             self._shown = plan_id, time.monotonic()
 
+    def reached(self, end: Pose) -> None:
+        """Drop the goal if a motion has ended there; a goal that was dragged further meanwhile stays."""
+        goal = self.goal
+        if goal is not None and not moved(goal, end, REACHED):
+            self.goal = None
+
     def choose(self, title: str) -> None:
         """Carry out an entry, and tell the operator how it ended."""
         self._run(title, lambda: self._do(title))
@@ -149,7 +121,6 @@ class ToolMarkerMenu:
         self._say(f"{title}: {sentence}")
 
     def _plan(self, request: Callable[[], GoalRequest]) -> Outcome:
-        """Ask for a plan, unless another request is under way."""
         if not self._planning.acquire(blocking=False):
             raise RequestRefused("a plan is being made already; wait for it")
         try:
@@ -158,7 +129,7 @@ class ToolMarkerMenu:
             self._planning.release()
 
     def _pose_request(self, kind: str) -> GoalRequest:
-        pose = self._goal.pose
+        pose = self.goal
         if pose is None:
             raise RequestRefused("the marker is at the tool; drag it to a goal first")
         return GoalRequest(kind, **pose_fields(pose))
@@ -173,5 +144,5 @@ class ToolMarkerMenu:
         return self._client.review(ReviewRequest(plan.id, plan.hash, verdict, self._reviewer, "by the marker's menu"))
 
     def _back(self) -> Outcome:
-        self._goal.drop()
+        self.goal = None
         return Outcome(True, "the marker follows the tool")

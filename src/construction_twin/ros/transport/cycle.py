@@ -17,10 +17,7 @@ CATCH_UP = 80_000_000
 
 
 class Cycles:
-    """A grid that starts on ROS time and advances with the monotonic clock: a wall clock that is set does not disturb it.
-
-    One thread takes the cycles; others may ask and set its time.
-    """
+    """A grid from ROS time on, by the monotonic clock. One thread takes the cycles; others may ask and set its time."""
 
     def __init__(self):
         self._lock = threading.Lock()
@@ -48,12 +45,7 @@ class Cycles:
             self._stamp = max(self._stamp, self.now() // CYCLE_NS * CYCLE_NS)
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
-        """Wait for one cycle after the other until ROS shuts down.
-
-        Yields:
-            stamp: The cycle's nominal stamp [ns], a multiple of 4 ms.
-            stalled: 0, or for how long the grid was interrupted because this process was not run for more than `CATCH_UP` [ns].
-        """
+        """Wait for one cycle after the other; yield its stamp, and how long the grid stood, this process not being run [ns]."""
         while not rospy.is_shutdown():
             with self._lock:
                 self._stamp += CYCLE_NS

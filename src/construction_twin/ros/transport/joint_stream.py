@@ -23,17 +23,11 @@ _TAILS = {JointState: "2I", Feedback: "Q2I"}
 
 
 class PoseMessage:
-    """Writes and reads the messages of one type and one robot, each in one step.
+    """Writes and reads the messages of one type, JointState or Feedback, and one robot, each in one step.
 
-    genpy goes through a message field by field: in a node on the 250 Hz path that is a third of its work. Only numbers change from
-    one message of a stream to the next; they are packed between bytes that are made once. Another form is left to genpy.
-
-    Args:
-        kind: `sensor_msgs/JointState` or `construction_twin/Feedback`.
-
-    Attributes:
-        received: Give it to `rospy.Subscriber` in place of `kind`. Its ``content`` is what `read` returns; the fields of `kind` are
-            filled in where that is None, or when one is read.
+    genpy goes through a message field by field: on the 250 Hz path a third of a node's work. Only numbers change from one message
+    of a stream to the next; they are packed between bytes that are made once. `received` is a class for `rospy.Subscriber` with the
+    ``content`` that `read` returns; genpy fills the fields in where that is None, or when one is read.
     """
 
     def __init__(self, kind: type, names: tuple[str, ...]):
@@ -49,14 +43,7 @@ class PoseMessage:
         return self._sent_class(stamp, q, seq, command_stamp)
 
     def write(self, number: int, stamp: int, q: tuple[float, ...], seq: int, command_stamp: int) -> bytes:
-        """Return a message's bytes.
-
-        Args:
-            number: The header's ``seq``: how many messages the topic has seen.
-            stamp: The header's stamp [ns].
-            q: Shape (n,). [rad], [m] where linear, in the order of the names.
-            seq, command_stamp: Of Feedback, the stamp in ns.
-        """
+        """Return a message's bytes; `number`: the header's ``seq``, stamps in ns, `q` [rad], [m] in the order of the names."""
         tail = (0, 0) if self._kind is JointState else (seq, *divmod(command_stamp, NANOSECONDS))
         return self._struct.pack(number, *divmod(stamp, NANOSECONDS), self._names, *q, *tail)
 
@@ -144,14 +131,7 @@ def now_ns() -> int:
 
 
 def joint_values(message: JointState, names: tuple[str, ...]) -> tuple[float, ...]:
-    """Return a joint state's positions in the order of `names`.
-
-    Returns:
-        Shape (n,). [rad]
-
-    Raises:
-        PayloadError: ``names`` or ``values``, when it does not hold exactly these joints with finite positions.
-    """
+    """Return positions in the order of `names`; PayloadError ``names`` or ``values`` for other joints, and what is not finite."""
     if tuple(message.name) == names and len(message.position) == len(names):
         q = tuple(message.position)
     else:
@@ -193,15 +173,9 @@ class JointPublisher:
 
 
 class JointSubscriber:
-    """Hands a topic's poses to a callback, from the topic's own publisher; see `Subscriber`.
+    """Hands a topic's poses to ``callback(stamp, q)`` in ns and rad, feedback's with ``seq, command_stamp``; see `Subscriber`.
 
-    Args:
-        callback: Called as ``callback(stamp, q)`` with ns and rad; for feedback as ``callback(stamp, q, seq, command_stamp)``.
-        refused: Called as ``refused(reason, sentence)`` for a message that is not used.
-        queue_size: Messages kept for a callback that is busy; of more the oldest are dropped.
-        kind: `sensor_msgs/JointState` or `construction_twin/Feedback`.
-        pause: How long to read nothing after each message [s]. With a `queue_size` of 1 the callback then gets the newest of what
-            came in the meantime, and the thread is not woken up for the others.
+    `pause`: how long to read nothing after each message [s]; with a `queue_size` of 1 the callback gets the newest after it.
     """
 
     def __init__(

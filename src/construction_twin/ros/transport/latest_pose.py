@@ -23,13 +23,7 @@ NEXT_MESSAGE = 0.01
 
 @dataclass(frozen=True)
 class StampedPose:
-    """A pose and its times.
-
-    Attributes:
-        positions: Shape (n,). [rad], or [m] for prismatic joints, in the order of the names.
-        stamp: Of its header [ns].
-        received: Monotonic time at which it was read [s].
-    """
+    """A pose, shape (n,) [rad], [m], the stamp of its header [ns], and the monotonic time at which it was read [s]."""
 
     positions: tuple[float, ...]
     stamp: int
@@ -52,15 +46,9 @@ class LatestPose:
         return self.newest(oldest, patience).positions
 
     def newest(self, oldest: float, patience: float = 0.0) -> StampedPose:
-        """Return the newest pose with its times.
+        """Return the newest pose with its times, at most `oldest` [s] since its reception; wait `patience` [s] for one.
 
-        Args:
-            oldest: Greatest age of its message, since reception [s].
-            patience: How long to wait for one [s]: right after the start the first may not have come yet.
-
-        Raises:
-            PoseUnknownError: If there is none that is young enough.
-            PayloadError: If it does not hold exactly these joints with finite positions.
+        PoseUnknownError where there is none that is young enough, PayloadError where it does not hold exactly these joints.
         """
         with self._news:
             reads = self._reads

@@ -1,7 +1,4 @@
-"""Services of other nodes: a call whose silence is an error, and one over a connection that stays open.
-
-Over that connection, from `PersistentService.open` or the first call on, later calls ask no master and shake no hands.
-"""
+"""Services of other nodes: a call whose silence is an error, and one over a connection that stays open."""
 
 from __future__ import annotations
 
@@ -37,11 +34,7 @@ class ServiceSilentError(ConstructionTwinError):
 
 
 def call(service: rospy.ServiceProxy, program: str, **request):
-    """Return the answer of a service, once it exists.
-
-    Raises:
-        ServiceSilentError: If it does not exist within `TIMEOUT`, or its node goes away.
-    """
+    """Return the answer of a service; ServiceSilentError where it does not exist within `TIMEOUT`, or its node goes away."""
     try:
         rospy.wait_for_service(service.resolved_name, TIMEOUT)
         return service(**request)
@@ -60,8 +53,7 @@ def call_twice(service: rospy.ServiceProxy, program: str, **request):
 class PersistentService(rospy.ServiceProxy):
     """As a persistent `rospy.ServiceProxy`, from several threads; arguments are named.
 
-    A call whose connection broke is repeated once over a new one. So only a service may be called that may be called twice: of a
-    broken connection it is unknown whether the request had arrived.
+    A call whose connection broke is repeated once: only for a service that may be called twice.
     """
 
     transport: TCPROSTransport | None
@@ -81,10 +73,7 @@ class PersistentService(rospy.ServiceProxy):
             self._busy.release()
 
     def open(self) -> None:
-        """Connect where there is no connection yet, if the service can be found: the first call does not ask the master then.
-
-        For a thread that may wait as long as the master does.
-        """
+        """Connect if the service is found, for a thread that may wait: the first call does not ask the master then."""
         if self.transport is not None:
             return
         with contextlib.suppress(*NO_ANSWER):

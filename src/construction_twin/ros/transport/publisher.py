@@ -25,8 +25,7 @@ class Sink(Protocol):
 class Publisher(rospy.Publisher):
     """As `rospy.Publisher` with a `queue_size`, but a message goes out in the caller's thread; see `DirectConnection`.
 
-    What is published while the node shuts down is dropped: rospy closes topics before it ends the threads of timers and
-    subscribers, and before `rospy.is_shutdown` says so. Without this every Ctrl-C would print tracebacks.
+    While the node shuts down messages are dropped: rospy closes topics before it ends threads.
     """
 
     def __init__(self, name: str, data_class: type, queue_size: int, **options):
@@ -53,15 +52,9 @@ class Publisher(rospy.Publisher):
 class DirectConnection:
     """One subscriber's connection, in place of `rospy.impl.tcpros_pubsub.QueuedConnection`.
 
-    rospy's queue hands every message to a thread of the connection, so that a slow one holds up no other. That costs two
-    thread switches per message and subscriber. Here the publishing thread sends a message itself as long as the socket takes it
-    without waiting; only what it does not take goes to a thread, which ends when the subscriber has caught up.
-
-    Args:
-        queue_size: Messages kept for a subscriber that is busy; of more the oldest are dropped.
-
-    Attributes:
-        catching_up: Whether messages wait for a subscriber that is too slow.
+    rospy's queue hands every message to a thread of the connection: two thread switches per message and subscriber. Here the
+    publishing thread sends as long as the socket takes it without waiting; the rest goes to a thread, `catching_up`, until the
+    subscriber has. Of more than `queue_size` messages the oldest are dropped.
     """
 
     def __init__(self, connection, queue_size: int):
@@ -75,11 +68,7 @@ class DirectConnection:
         return getattr(self._connection, name)
 
     def write_data(self, data: bytes) -> bool:
-        """Send a message, or put it behind those that the subscriber has not taken yet.
-
-        Raises:
-            TransportTerminated: When the subscriber is gone; rospy then forgets the connection.
-        """
+        """Send a message, or queue it; TransportTerminated when the subscriber is gone: rospy forgets the connection."""
         with self._lock:
             if self._error is not None:
                 raise self._error
@@ -93,7 +82,6 @@ class DirectConnection:
         return True
 
     def _send(self, data: bytes) -> int:
-        """Send what the socket takes without waiting; return how many bytes."""
         if self._connection.done or self._connection.socket is None:
             raise TransportTerminated("connection closed")
         try:

@@ -1,7 +1,6 @@
 """Subscriptions of this package's nodes: each stream has one publisher, and an error in a callback ends the node.
 
-What opens the gate, keeps it open or starts a motion is believed only from the node that publishes it: a second bridge, a forgotten
-test or a `rosbag play` into a live system is refused.
+A second bridge, a forgotten test or a `rosbag play` into a live system is refused.
 """
 
 from __future__ import annotations
@@ -52,14 +51,7 @@ PUBLISHER = "publisher"
 
 
 def publisher_of(topic: str) -> str | None:
-    """Return the resolved name of the only node that may publish a topic; None when everybody may.
-
-    Args:
-        topic: A stream in the node's own namespace (``sync``), or in another robot's (``/kr120_b/sync``).
-
-    Raises:
-        ConfigurationError: When the parameter `publishers` is no mapping from these streams to names.
-    """
+    """Return the only node that may publish a topic; None: everybody. ConfigurationError where `publishers` is no mapping."""
     streams = (*PUBLISHERS, *FOR_ANYBODY)
     stream = next((name for name in streams if topic == name or topic.endswith(f"/{name}")), None)
     if stream is None:
@@ -87,17 +79,9 @@ def hand_on_error() -> None:
 
 
 class Subscriber:
-    """As `rospy.Subscriber`, for one publisher.
+    """As `rospy.Subscriber`, for one publisher, `publisher`; None: everybody is heard.
 
-    Args:
-        callback: Takes the message. An exception that leaves it and is no ProtocolError goes to `threading.excepthook`; rospy would
-            log it and go on.
-        refused: Called as ``refused(reason, sentence)`` for a message from another node than `publisher_of` the topic, and for a
-            ProtocolError of the callback.
-        queue_size: Messages kept for a callback that is busy; of more the oldest are dropped.
-
-    Attributes:
-        publisher: Resolved name of the only node that is heard; None: everybody is.
+    A ProtocolError of the callback, and another node's message, are refused; any other exception goes to `threading.excepthook`.
     """
 
     def __init__(

@@ -126,7 +126,7 @@ def main(arguments: list[str] | None = None) -> int:
         0, or 1 after a sentence on standard error.
     """
     parser = bag_parser(
-        "identify",
+        "evaluate identify",
         "Find how the arm's servos answer their targets: a file for the argument servo_model.",
         "a bag with at least twin, physical, physical/feedback and command/joint_states",
         "_servos",
@@ -143,7 +143,7 @@ def main(arguments: list[str] | None = None) -> int:
         console.print(servo_table(found))
         return [path]
 
-    return report_bag("identify", options, write)
+    return report_bag("evaluate identify", options, write)
 
 
 def servo_table(found: Identified) -> Table:

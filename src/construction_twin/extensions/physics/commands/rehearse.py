@@ -246,7 +246,7 @@ def _rate(text: str) -> float:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="rehearse",
+        prog="evaluate rehearse",
         description="Rehearse a plan with a simulated arm that has mass: torques, payload, contacts, braking. "
         "Exit code 0: passed, 1: failed, 2: the rehearsal could not be made.",
     )

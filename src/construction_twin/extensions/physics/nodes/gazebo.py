@@ -41,7 +41,7 @@ _PR_SET_PDEATHSIG = 1
 
 
 class Settings(PrivateSettings):
-    """Private parameters, given in launch/twin.launch.
+    """Private parameters, given in launch/bringup.launch.
 
     Attributes:
         gzserver: Words that start Gazebo's server; the world's file is put behind them.

@@ -50,7 +50,7 @@ _AWAKE = 0.5
 
 
 class Settings(PrivateSettings):
-    """Private parameters; see config/rehearsal.yaml, the others are given in launch/twin.launch.
+    """Private parameters; see config/rehearsal.yaml, the others are given in launch/bringup.launch.
 
     Attributes:
         mode: Of the launch argument `rehearsal`; with `auto` nothing is rehearsed where MuJoCo is not installed.

@@ -83,7 +83,7 @@ Tolerance = Annotated[float, pydantic.Field(ge=0.0, allow_inf_nan=False)]
 
 
 class Settings(PrivateSettings):
-    """Private parameters; see config/follow_joint_trajectory.yaml, `arm` is given in launch/twin.launch."""
+    """Private parameters; see config/follow_joint_trajectory.yaml, `arm` is given in launch/bringup.launch."""
 
     arm: Literal["mock", "real", "none"]
     action_names: Annotated[

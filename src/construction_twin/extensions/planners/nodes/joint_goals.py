@@ -143,7 +143,7 @@ def control_messages() -> ModuleType:
     to_do = (
         "the package of ROS (apt-get install ros-noetic-control-msgs), or ours: cp -r $(rospack find "
         "construction_twin)/setup/control_msgs into the src folder of your workspace, and "
-        "catkin_make; or follow_joint_trajectory:=false"
+        "catkin_make"
     )
     try:
         messages = importlib.import_module("control_msgs.msg")

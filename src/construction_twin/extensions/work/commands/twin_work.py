@@ -23,19 +23,16 @@ from construction_twin.views.goals import pose_goal
 
 
 def chosen(tasks: Sequence[TaskReport], text: str) -> TaskReport:
-    """Return the task that a person means by its id, its name, or the beginning of one of them.
-
-    Raises:
-        RequestRefused: When none fits, or several do.
-    """
-    for exact in (lambda task: task.id == text, lambda task: task.name.lower() == text.lower()):
-        found = [task for task in tasks if exact(task)]
+    """Return the task that a person means by its id, its name, or the beginning of one of them, or raise RequestRefused."""
+    low, found = text.lower(), []
+    for fits in (
+        lambda task: task.id == text,
+        lambda task: task.name.lower() == low,
+        lambda task: low and (task.id.lower().startswith(low) or task.name.lower().startswith(low)),
+    ):
+        found = [task for task in tasks if fits(task)]
         if len(found) == 1:
             return found[0]
-    low = text.lower()
-    found = [task for task in tasks if low and (task.id.lower().startswith(low) or task.name.lower().startswith(low))]
-    if len(found) == 1:
-        return found[0]
     if found:
         several = ", ".join([*(task.name or task.id for task in found[:5]), *(["..."] if len(found) > 5 else [])])
         raise RequestRefused(f"{text!r} fits {len(found)} tasks: {several}; give more of it")
@@ -91,22 +88,13 @@ ALL = "all"
 
 
 class WorkCommand:
-    """One step of `twin work`.
-
-    Args:
-        account: The user's name, for the record.
-    """
+    """One step of `twin work`; `account`: the user's name, for the record."""
 
     def __init__(self, options: argparse.Namespace, account: str, client: OperatorClient):
         self._options, self._account, self._client = options, account, client
 
     def run(self) -> Exit:
-        """Do it.
-
-        Raises:
-            RequestRefused: With the work node's sentence.
-            SilenceError: When nobody answers.
-        """
+        """Do it, or raise RequestRefused with the work node's sentence."""
         step = self._options.step
         if step in _DECISIONS:
             self._decide(step)
@@ -135,28 +123,26 @@ class WorkCommand:
         print("\n".join(show_lines(work, chosen(work.tasks, self._options.task))))
 
     def _decide(self, step: str) -> None:
-        options = self._options
-        work = self._work()
+        work, answering = self._work(), step == "answer"
         # of an element with a task of its own name that one is meant which asks
-        asking = [task for task in work.tasks if task.question] if step == "answer" else []
-        every = step == "accept" or (step == "answer" and options.task == ALL)
-        task = "" if every else chosen(asking or work.tasks, options.task).id
+        asking = [task for task in work.tasks if task.question] if answering else []
+        every = step == "accept" or (answering and self._options.task == ALL)
+        task = "" if every else chosen(asking or work.tasks, self._options.task).id
         if step == "accept":
             # what was left out or understood in some way is known before it is accepted
             print("\n".join(note_lines(work) or ["no notes on model and schedule"]))
-        answer = options.answer if step == "answer" else ""
-        person = options.person or self._account
-        decision = "answer_all" if every and step == "answer" else _DECISIONS[step]
-        fields = {"task": task, "decision": decision, "answer": answer, "person": person}
-        print(self._client.ask("work/decide", WorkDecide, reason=options.reason, **fields).message)
+        decision = "answer_all" if every and answering else _DECISIONS[step]
+        self._ask("decide", WorkDecide, task=task, decision=decision, answer=self._options.answer if answering else "")
 
     def _measured(self) -> None:
-        options = self._options
-        pose = PoseStamped(pose=pose_to_msg(pose_goal(options.pose, options.frame)))
-        pose.header.frame_id = options.frame
-        person = options.person or self._account
-        request = {"element": options.element, "pose": pose, "person": person, "reason": options.reason}
-        print(self._client.ask("work/measured", WorkMeasured, **request).message)
+        pose = PoseStamped(pose=pose_to_msg(pose_goal(self._options.pose, self._options.frame)))
+        pose.header.frame_id = self._options.frame
+        self._ask("measured", WorkMeasured, element=self._options.element, pose=pose)
+
+    def _ask(self, service: str, kind: type, **fields: object) -> None:
+        person = self._options.person or self._account
+        asked = {**fields, "person": person, "reason": self._options.reason}
+        print(self._client.ask(f"work/{service}", kind, **asked).message)
 
     def _work(self) -> WorkReport:
         to_do = "start bringup with work_model and work_cell, or see why the node is down"

@@ -12,7 +12,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +25,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import track
 from rich.table import Table
 
 from construction_twin.core.errors import ConstructionTwinError, spoken
@@ -48,11 +48,7 @@ ALL, SOME, NOT_CHECKED = 0, 1, 2
 
 
 def main(arguments: list[str]) -> int:
-    """Check the model named on the command line.
-
-    Returns:
-        0, 1 or 2, see above.
-    """
+    """Check the model named on the command line; return the exit code."""
     options = _parser().parse_args(arguments)
     console = table_console()
     picture = (options.output or options.model.with_name(options.model.stem + "_check")) / "check.png"
@@ -80,12 +76,7 @@ def main(arguments: list[str]) -> int:
 
 @dataclass(frozen=True)
 class Checked:
-    """What was found.
-
-    Attributes:
-        tasks: In the order of the schedule.
-        rss_mb: Largest resident memory of all processes together [MB]; what they share is counted in each.
-    """
+    """What was found, in the order of the schedule; `rss_mb`: of all processes together, what they share counted in each."""
 
     prepared: Prepared
     tasks: tuple[CheckedTask, ...]
@@ -93,18 +84,16 @@ class Checked:
     rss_mb: float
 
 
-def check_all(
-    processes: int, done: Callable[[int, int], None] = lambda *_: None, robot_name: str = "", **given: Any
-) -> Checked:
-    """Check every job of a model, each in one of several processes.
+def check_all(processes: int, console: Console | None = None, robot_name: str = "", **given: Any) -> Checked:
+    """Check every job of a model that a robot may do, each in one of several processes.
 
     Args:
-        done: Called as results come with how many there are, and how many there will be.
-        robot_name: Only jobs that this robot may do are checked; empty: all. The others' elements are placed in their turn, too.
+        console: Shows how many are done.
+        robot_name: Empty: any. The others' elements are placed in their turn, too.
         given: What `worker_functions.prepare` takes.
 
     Raises:
-        WorkerError: If the model cannot be checked; with an empty `kind` if a process was ended, by want of memory for instance.
+        WorkerError: With an empty `kind` if a process was ended, by want of memory for instance.
     """
     began = time.monotonic()
     workers = [Worker(WORKER) for _ in range(processes)]
@@ -128,11 +117,12 @@ def check_all(
                 idle.put(worker)
             jobs = enumerate(prepared.schedule.jobs)
             numbers = [n for n, job in jobs if not robot_name or not job.robots or robot_name in job.robots]
-            done(0, len(numbers))
-            for future in as_completed([threads.submit(check, number) for number in numbers]):
+            futures = as_completed([threads.submit(check, number) for number in numbers])
+            for future in track(
+                futures, "checking", len(numbers), console=console, transient=True, disable=not console
+            ):
                 task, process, rss = future.result()
                 found[task.number], memory[process] = task, rss
-                done(len(found), len(numbers))
         finally:
             threads.shutdown(wait=False, cancel_futures=True)
             for worker in workers:
@@ -145,22 +135,18 @@ def _check(options: argparse.Namespace, folder: str, console: Console) -> Checke
     kind = ("kr120_track", "kr120_track") if options.track else ("kr120r2500", "kr120")
     xacro = options.robot_xacro or share_file(f"urdf/{kind[0]}.urdf.xacro")
     config = options.robot_config or share_file(f"config/{kind[1]}.yaml")
-    columns = (TextColumn("checking"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, auto_refresh=False) as progress:
-        bar = progress.add_task("check", total=None)
-        progress.refresh()
-        return check_all(
-            options.processes,
-            lambda done, whole: progress.update(bar, completed=done, total=whole, refresh=True),
-            options.robot,
-            model=str(options.model),
-            cell=str(options.cell),
-            robot=read_robot_files(xacro, config, options.robot_xacro_args),
-            self_collision=str(options.self_collision or share_file(f"config/{kind[1]}_self_collision.yaml")),
-            # the same model and cell give the same findings
-            planner={**yaml.safe_load(share_file("config/planner.yaml").read_text(encoding="utf-8")), "seed": SEED},
-            cache=folder,
-        )
+    return check_all(
+        options.processes,
+        console,
+        options.robot,
+        model=str(options.model),
+        cell=str(options.cell),
+        robot=read_robot_files(xacro, config, options.robot_xacro_args),
+        self_collision=str(options.self_collision or share_file(f"config/{kind[1]}_self_collision.yaml")),
+        # the same model and cell give the same findings
+        planner={**yaml.safe_load(share_file("config/planner.yaml").read_text(encoding="utf-8")), "seed": SEED},
+        cache=folder,
+    )
 
 
 def _print(console: Console, checked: Checked) -> None:
@@ -169,15 +155,23 @@ def _print(console: Console, checked: Checked) -> None:
         # numbers are shown whole; in a narrow terminal words are cut
         words = heading in ("task", "grip", "why")
         table.add_column(heading, justify="left" if words else "right", no_wrap=words, overflow="ellipsis")
+    told: list[str] = []
     for task in checked.tasks:
-        table.add_row(*_row(task), style="" if task.possible else "red")
-    console.print(table)
-    for task in checked.tasks:
+        numbers = zip(
+            ("{:.2f}", "{:.0f}", "{:.1f}"),
+            (task.track, None if task.clearance is None else 1e3 * task.clearance, task.duration),
+        )
+        shown = ("" if value is None else form.format(value) for form, value in numbers)
+        why = "" if task.possible else task.stage or task.reason[:30]
+        row = (str(task.number + 1), task.name, "yes" if task.possible else "no", task.grip, *shown, why)
+        table.add_row(*row, style="" if task.possible else "red")
         about = f"{task.number + 1} {task.name} ({task.element_name or task.element})"
-        why = f"{task.stage}: {task.reason}" if task.stage else task.reason
-        for said in ([] if task.possible else [why], (f"note: {remark}" for remark in task.remarks)):
-            for each in said:
-                console.print(f"{about}: {each}", markup=False, soft_wrap=True)
+        if not task.possible:
+            told.append(f"{about}: {task.stage}: {task.reason}" if task.stage else f"{about}: {task.reason}")
+        told += [f"{about}: note: {remark}" for remark in task.remarks]
+    console.print(table)
+    for line in told:
+        console.print(line, markup=False, soft_wrap=True)
     count = sum(task.possible for task in checked.tasks)
     console.print(
         f"{count} of {len(checked.tasks)} tasks are possible; checked in {checked.seconds:.0f} s, {checked.rss_mb:.0f} MB"
@@ -188,41 +182,25 @@ _POSSIBLE, _NOT, _STOCK, _PATH = "#2c8a4b", "#d9541e", "#8a8f98", "#3465a4"
 _SQUARE = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 
-def _row(task: CheckedTask) -> tuple[str, ...]:
-    """Return a task's cells: number, name, possible, grip, track [m], clearance [mm], time [s], at what it fails."""
-    return (
-        str(task.number + 1),
-        task.name,
-        "yes" if task.possible else "no",
-        task.grip,
-        "" if task.track is None else f"{task.track:.2f}",
-        "" if task.clearance is None else f"{1e3 * task.clearance:.0f}",
-        "" if task.duration is None else f"{task.duration:.1f}",
-        "" if task.possible else task.stage or task.reason[:30],
-    )
-
-
 def cell_picture(tasks: Sequence[CheckedTask], prepared: Prepared) -> bytes:
     """Return a PNG of the cell from above: base, stock, places, and the tool's paths."""
     figure = Figure(figsize=(9, 7), dpi=100)
     axes = figure.add_subplot()
     for item in read_site(prepared.cell).scene.objects:
         if item.shape == "box" and max(item.size[:2]) < 8.0:
-            corners = np.array([(sx * item.size[0], sy * item.size[1], 0.0) for sx, sy in _SQUARE]) / 2.0
+            corners = np.array([(*side, 0.0) for side in _SQUARE]) * item.size / 2.0
             seen = corners @ item.pose.rotation.T + item.pose.position
             axes.fill(seen[:, 0], seen[:, 1], facecolor="#0001", edgecolor="#0004")
             axes.annotate(item.name, (item.position[0], item.position[1]), color="#0008", ha="center")
     for task in tasks:
-        if not prepared.elements[task.element].bodies:
+        facts, slot = prepared.elements[task.element], prepared.stock.slots.get(task.element)
+        if not facts.bodies:
             continue
-        colour = _POSSIBLE if task.possible else _NOT
-        slot, goal = prepared.stock.slots.get(task.element), prepared.elements[task.element].base_T_goal
         if slot is not None:
             axes.plot(*slot.base_T_element.position[:2], ".", color=_STOCK)
-        axes.plot(*goal.position[:2], ".", color=colour)
+        axes.plot(*facts.base_T_goal.position[:2], ".", color=_POSSIBLE if task.possible else _NOT)
         if task.path:
-            path = np.array(task.path)
-            axes.plot(path[:, 0], path[:, 1], color=_PATH, linewidth=0.4, alpha=0.5)
+            axes.plot(*np.array(task.path).T[:2], color=_PATH, linewidth=0.4, alpha=0.5)
     axes.plot(0.0, 0.0, "k^")
     axes.annotate(" base", (0.0, 0.0))
     axes.set_aspect("equal")
@@ -233,13 +211,6 @@ def cell_picture(tasks: Sequence[CheckedTask], prepared: Prepared) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", bbox_inches="tight")
     return buffer.getvalue()
-
-
-def _processes(text: str) -> int:
-    value = int(text)
-    if not 1 <= value <= 64:
-        raise argparse.ArgumentTypeError(f"{value}: expected 1 to 64")
-    return value
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -254,7 +225,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--robot", default="", metavar="NAME", help="only tasks that this robot may do, e.g. kr120")
     parser.add_argument("--output", type=Path, metavar="DIR", help="folder for the picture (default: MODEL + _check)")
     parser.add_argument(
-        "--processes", type=_processes, default=max(1, min(8, os.cpu_count() or 1)), metavar="N",
+        "--processes", type=int, choices=range(1, 65), default=max(1, min(8, os.cpu_count() or 1)), metavar="N",
         help="tasks that are checked at once (default: one per core, at most 8)",
     )  # fmt: skip
     parser.add_argument("--robot-xacro", type=Path, metavar="FILE", help="URDF or xacro of another arm")

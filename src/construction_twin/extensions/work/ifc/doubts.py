@@ -6,14 +6,16 @@ What is said of an instance holds for every element that reaches it; if none is 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator
+from collections import defaultdict
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 import ifcopenshell
 
 from construction_twin.extensions.work.errors import BuildingError
 
-_LOGGED = re.compile(r"^\[(error|warning)\](?: \[(\w+)\])? \[[^\]]*\] (?:\{([^}]*)\} ?)?(.*)$")
+_Entity = ifcopenshell.entity_instance
+_LOGGED = re.compile(r"^\[(error|warning)\](?: \[(\w+)\])? \[[^\]]*\] (?:\{[^}]*\} ?)?(.*)$")
 _NUMBER = re.compile(r"#(\d+)")
 _OFFSET = re.compile(r"at offset (\d+)")
 _MISSING = re.compile(r"Instance reference #(\d+) used by instance #(\d+)")
@@ -38,15 +40,15 @@ class Said:
 
     Attributes:
         code: Of the kind of message; empty: none.
-        about: GlobalId; empty: of none.
         offset: Into the contents; None: it has none.
+        missing: Number of an instance that is not there, and of one that refers to it; empty: it says of none.
     """
 
     text: str
     code: str
-    about: str
     numbers: frozenset[int]
     offset: int | None
+    missing: tuple[int, ...]
 
 
 def entries(log: str) -> Iterator[Said]:
@@ -56,34 +58,22 @@ def entries(log: str) -> Iterator[Said]:
         logged = _LOGGED.match(line)
         if logged is None or logged.group(2) in _ASIDE or any(text in line for text in _ASIDE_TEXTS):
             continue
-        _, code, about, text = logged.groups()
+        _, code, text = logged.groups()
         # what it is about can stand on the next line
         if after.startswith("#"):
             text = f"{text} {after.partition('(')[0]}"
-        offset = _OFFSET.search(text)
+        offset, missing = _OFFSET.search(text), _MISSING.search(text)
         yield Said(
-            text[:_SHOWN], code or "", about or "", frozenset(map(int, _NUMBER.findall(text))),
-            int(offset.group(1)) if offset else None,
+            text[:_SHOWN], code or "", frozenset(map(int, _NUMBER.findall(text))),
+            int(offset.group(1)) if offset else None, tuple(map(int, missing.groups())) if missing else (),
         )  # fmt: skip
 
 
-def check_complete(said: Iterable[Said], contents: bytes, name: str) -> None:
-    """Check that every instance that is referred to is in the file."""
-    dropped = {line_at(contents, entry.offset)[0] for entry in said if entry.offset is not None}
-    for entry in said:
-        if "'ENDSEC'" in entry.text:
-            raise BuildingError(name, "the file", "a last line that is broken off", "a whole IFC file")
-        missing = _MISSING.search(entry.text)
-        if missing is not None and int(missing.group(1)) not in dropped:
-            broken = f"#{missing.group(2)} refers to #{missing.group(1)}, which is not there: the file is not whole"
-            raise BuildingError(name, "the file", broken, "a whole IFC file")
-
-
-def line_at(contents: bytes, offset: int) -> tuple[int, frozenset[int]]:
+def _line_at(contents: bytes, offset: int) -> tuple[int, set[int]]:
     """Return the number of the instance whose line holds an offset, and to which others it refers; 0: of none that can be found."""
     head, _, values = contents[contents.rfind(b";", 0, offset) + 1 : contents.find(b";", offset)].partition(b"=")
     number = head.rpartition(b"#")[2].strip()
-    return int(number) if number.isdigit() else 0, frozenset(map(int, re.findall(rb"#(\d+)", values)))
+    return int(number) if number.isdigit() else 0, set(map(int, re.findall(rb"#(\d+)", values)))
 
 
 class Doubts:
@@ -97,40 +87,35 @@ class Doubts:
 
     def __init__(self, file: ifcopenshell.file):
         self._file = file
-        self._named: dict[str, set[int]] = {}
         self.everything = ""
         self.shapes: dict[int, str] = {}
         self.related: dict[int, str] = {}
 
-    def take_parser(self, said: Collection[Said], contents: bytes) -> None:
-        """Take what the parser said of the contents that it read."""
-        users: dict[int, set[int]] = {}
-        for entry in said:
-            if (missing := _MISSING.search(entry.text)) is not None:
-                users.setdefault(int(missing.group(1)), set()).add(int(missing.group(2)))
-        for entry in said:
-            numbers = set(entry.numbers)
-            if entry.offset is not None:
-                own, references = line_at(contents, entry.offset)
-                # of a line that was dropped, what it needs and what needs it is left
-                numbers |= {own} if self._has(own) else {own, *references, *users.get(own, ())}
-            self.add(numbers, entry.text)
+    def take_parser(self, said: Collection[Said], contents: bytes, name: str) -> None:
+        """Take what the parser said of the contents that it read, and remove relations of which a part is missing.
 
-    def take_kernel(self, entry: Said) -> None:
-        """Take what the kernel said."""
-        if not self._named:
-            for product in self._file.by_type("IfcProduct"):
-                self._named.setdefault(product.GlobalId or "", set()).add(product.id())
-        # a GlobalId can be that of several
-        self.add(entry.numbers | self._named.get(entry.about, set()), entry.text)
-
-    def drop_broken_relations(self, said: Iterable[Said]) -> None:
-        """Remove relations of which a part is missing, that nothing is read from them."""
+        Raises:
+            BuildingError: If an instance is referred to and not in the file.
+        """
+        dropped = {_line_at(contents, each.offset)[0] for each in said if each.offset is not None}
+        users: dict[int, set[int]] = defaultdict(set)
         for entry in said:
-            missing = _MISSING.search(entry.text)
-            if missing is not None and self._has(number := int(missing.group(2))):
-                if self._file.by_id(number).is_a("IfcRelationship"):
-                    self._file.remove(self._file.by_id(number))
+            if "'ENDSEC'" in entry.text:
+                raise BuildingError(name, "the file", "a last line that is broken off", "a whole IFC file")
+            if entry.missing:
+                missing, user = entry.missing
+                if missing not in dropped:
+                    broken = f"#{user} refers to #{missing}, which is not there: the file is not whole"
+                    raise BuildingError(name, "the file", broken, "a whole IFC file")
+                users[missing].add(user)
+        for entry in said:
+            own, references = (0, set[int]()) if entry.offset is None else _line_at(contents, entry.offset)
+            # of a line that was dropped, what it needs and what needs it is left
+            more = set() if self._has(own) else references | users[own]
+            self.add(entry.numbers | {own} | more, entry.text)
+        for user in set().union(*users.values()):
+            if self._has(user) and self._file.by_id(user).is_a("IfcRelationship"):
+                self._file.remove(self._file.by_id(user))
 
     def add(self, numbers: Collection[int], why: str) -> None:
         """Doubt every element that reaches an instance, or everything if none does, or if it says where something is."""
@@ -167,7 +152,7 @@ class Doubts:
         except RuntimeError:
             return False
 
-    def _products(self, one: ifcopenshell.entity_instance) -> set[int]:
+    def _products(self, one: _Entity) -> set[int]:
         """Return the products that a relation names, itself or by a task, or that a task makes or works on."""
         if one.is_a("IfcProcess"):
             near = [each for each in self._file.get_inverse(one) if each.is_a("IfcRelAssigns")]
@@ -180,7 +165,7 @@ class Doubts:
         return found
 
 
-def _host(product: ifcopenshell.entity_instance) -> int:
+def _host(product: _Entity) -> int:
     """Return the number of what an opening is in, and else of the product itself."""
     voids = getattr(product, "VoidsElements", None) or ()
     return next((relation.RelatingBuildingElement.id() for relation in voids), product.id())

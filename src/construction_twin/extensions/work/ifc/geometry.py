@@ -7,8 +7,9 @@ sure of. Mapped items are followed here before the kernel does: a loop, or a few
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import ifcopenshell
 import ifcopenshell.geom
@@ -20,8 +21,9 @@ from scipy.sparse.csgraph import connected_components
 from construction_twin.extensions.work.building import Body
 from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.notes import Misread, Notes, Where, label
-from construction_twin.scene.solids import hull_solid, mesh_of, solid
+from construction_twin.scene.solids import hull_solid, mesh_of, solid, welded
 
+_Entity = ifcopenshell.entity_instance
 #: Identifiers of representations that are a body, the best first.
 _BODIES = ("Body", "Body-FallBack", "Facetation", "Tessellation", "Mesh")
 #: What a representation without one of those identifiers must be to be taken as the body.
@@ -38,6 +40,8 @@ _NO_BODIES = (
 _FLAT = ("IfcFacetedBrep", "IfcTessellatedFaceSet")
 #: What reaches nowhere, or without an end and only cuts.
 _NO_REACH = ("IfcHalfSpaceSolid", "IfcRepresentationContext", "IfcDirection", "IfcPresentationItem")
+#: Words in the names of numbers that are no lengths.
+_NO_LENGTHS = ("Angle", "Param", "Scale")
 #: Copies by mapped items, and operands of booleans, of one element.
 MOST_ITEMS = 100_000
 DEEPEST = 200
@@ -68,6 +72,16 @@ _SURFACES = (
 )
 
 
+_SETTINGS = ifcopenshell.geom.settings()
+_SETTINGS.set("no-normals", True)
+_SETTINGS.set("weld-vertices", True)
+_SETTINGS.set("disable-opening-subtractions", True)
+# in 2D, what is cut away whole stands whole
+_SETTINGS.set("boolean-attempt-2d", False)
+_SETTINGS.set("mesher-linear-deflection", DEFLECTION)
+_SETTINGS.set("mesher-angular-deflection", _ANGLE)
+
+
 @dataclass(frozen=True)
 class Shape:
     """What the kernel made of a product.
@@ -75,8 +89,7 @@ class Shape:
     Attributes:
         bodies: In the frame of `model_T_shape`.
         model_T_shape: Shape (4, 4) [m]; None: the element's own frame.
-        doubt: Why the bodies are not one workpiece as the model says, and what stands for it: the box around everything it can
-            mean, or, of an element in pieces, its bodies. Empty: they are.
+        doubt: Why the bodies, or the box around all that they can be, are no workpiece; empty: they are one.
     """
 
     id: int
@@ -85,10 +98,7 @@ class Shape:
     doubt: str = ""
 
     def doubted(self, why: str, *beyond: np.ndarray) -> Shape:
-        """Return the shape with a box in place of its bodies.
-
-        `beyond`: Shape (k, 3) each. What the box holds beside the bodies [m].
-        """
+        """Return the shape with a box in place of its bodies and what is `beyond`, shape (k, 3) each [m]."""
         points = [*(body.vertices for body in self.bodies), *beyond]
         return replace(self, bodies=(box(np.concatenate(points)),) if points else (), doubt=why)
 
@@ -96,32 +106,32 @@ class Shape:
 def shapes(
     file: ifcopenshell.file,
     name: str,
-    bodies: Mapping[int, ifcopenshell.entity_instance],
-    openings: Mapping[int, Sequence[tuple[ifcopenshell.entity_instance, bool]]],
+    bodies: Mapping[int, _Entity],
+    openings: Mapping[int, Sequence[tuple[_Entity, bool]]],
     unit: float,
     notes: Notes,
+    take_log: Callable[[_Entity], None],
 ) -> Iterator[Shape]:
     """Make the bodies of products; one of which nothing is made has none, and is doubted.
 
     Args:
-        openings: What is cut from a product, by its id, and whether that is an opening of its own: else of what it is a part of.
+        openings: What is cut from a product, by its id; True: an opening of its own, else of what it is a part of.
         unit: Metres per length unit.
+        take_log: Called with a product when the kernel has made what it can of it.
     """
-    items = Items(name)
-    for representation in bodies.values():
-        items.check(representation)
     cuts = {each.id(): body for given in openings.values() for each, _ in given if (body := body_of(each)) is not None}
-    for representation in cuts.values():
-        items.check(representation)
-    holes = {made.id: made for made in _made(file, name, cuts)}
+    counts: dict[int, int] = {}
+    for representation in (*bodies.values(), *cuts.values()):
+        _count(name, representation, counts)
+    holes = {made.id: made for made in _made(file, name, cuts, take_log)}
     missing = dict(bodies)
-    for made in _made(file, name, bodies):
+    for made in _made(file, name, bodies, take_log):
         representation = bodies[made.id]
         given = [(each.id(), own) for each, own in openings.get(made.id, ()) if each.id() in cuts]
         try:
             with Where(name, file.by_id(made.id)):
-                resolved = items.resolved(representation)
-                yield _shape(made, resolved, given, holes, unit, file.by_id(made.id).GlobalId, notes)
+                items = list(_resolved(representation))
+                yield _shape(made, items, given, holes, unit, file.by_id(made.id).GlobalId, notes)
                 del missing[made.id]
         except Misread:
             # told as what is missing
@@ -144,36 +154,37 @@ class _Made:
     matrix: np.ndarray
 
 
-def _made(file: ifcopenshell.file, name: str, bodies: Mapping[int, ifcopenshell.entity_instance]) -> Iterator[_Made]:
-    """Give what the kernel makes of representations, nothing cut out; each once, and only what has triangles."""
-    if not bodies:
-        return
-    contexts = {representation.ContextOfItems.id() for representation in bodies.values()}
-    products = [file.by_id(product) for product in bodies]
-    iterator = ifcopenshell.geom.iterator(_settings(contexts), file, 1, include=products)
-    done: set[int] = set()
+def _made(
+    file: ifcopenshell.file, name: str, bodies: Mapping[int, _Entity], take_log: Callable[[_Entity], None]
+) -> Iterator[_Made]:
+    """Give what the kernel makes of representations, nothing cut out; only what has triangles."""
     total = 0
-    more = iterator.initialize()
-    while more:
-        shape = iterator.get()
-        # a product with two bodies in two contexts comes twice: the one that was chosen is looked for
-        if shape.id in bodies and shape.id not in done and _is_of(shape.geometry.id, bodies[shape.id]):
-            done.add(shape.id)
-            vertices, triangles, owners = _arrays(shape.geometry)
-            total += len(triangles)
-            check_mesh(name, file.by_id(shape.id), vertices, total)
-            if len(triangles):
-                matrix = np.array(shape.transformation.matrix, dtype=float).reshape(4, 4, order="F")
-                yield _Made(shape.id, vertices.copy(), triangles.copy(), owners.copy(), matrix)
-        more = bool(iterator.next())
-    # one that it cannot place keeps it from all others
-    left = {one: body for one, body in bodies.items() if one not in done} if len(bodies) > 1 else {}
-    for one, body in left.items():
-        yield from _made(file, name, {one: body})
+    for number, representation in bodies.items():
+        product = file.by_id(number)
+        try:
+            shape: Any = ifcopenshell.geom.create_shape(_SETTINGS, product, representation)
+        except RuntimeError:
+            continue
+        finally:
+            take_log(product)
+        mesh = shape.geometry
+        vertices = np.frombuffer(mesh.verts_buffer, dtype=np.float64).reshape(-1, 3).copy()
+        triangles = np.frombuffer(mesh.faces_buffer, dtype=np.int32).reshape(-1, 3).copy()
+        total += len(triangles)
+        what = f"element {product.GlobalId!r}"
+        if total > MOST_TRIANGLES:
+            raise BuildingError(name, what, f"more than {MOST_TRIANGLES} triangles up to it", "less")
+        if not np.all(np.abs(vertices) <= FARTHEST):
+            found = "corners that are no finite numbers, or too far"
+            raise BuildingError(name, what, found, f"at most {FARTHEST:g} m")
+        if len(triangles):
+            owners = np.frombuffer(mesh.item_ids_buffer, dtype=np.int32).copy()
+            matrix = np.array(shape.transformation.matrix, dtype=float).reshape(4, 4, order="F")
+            yield _Made(number, vertices, triangles, owners, matrix)
 
 
 def _shape(
-    made: _Made, items: list[ifcopenshell.entity_instance], openings: Sequence[tuple[int, bool]], holes: Mapping[int, _Made],
+    made: _Made, items: list[_Entity], openings: Sequence[tuple[int, bool]], holes: Mapping[int, _Made],
     unit: float, about: str, notes: Notes,
 ) -> Shape:  # fmt: skip
     bodies = tuple(_bodies(made, [] if openings else items, about, notes))
@@ -187,11 +198,12 @@ def _shape(
         return shape.doubted("parts of its shape lie within each other; its box stands as an obstacle")
     if openings:
         cut = _cut(shape, openings, holes)
-        if cut is None:
+        if not cut:
             said = "its openings take nothing from it, or all of it, or cannot be cut out"
             return shape.doubted(f"{said}; its box stands as an obstacle")
-        shape = replace(shape, bodies=cut)
-        if (pieces := pieces_of(cut)) > 1:
+        made_of = map(mesh_of, cut)
+        shape = replace(shape, bodies=tuple(Body(vertices, faces.astype(np.int32)) for vertices, faces in made_of))
+        if (pieces := _count_pieces(cut)) > 1:
             said = f"it is in {pieces} pieces that do not touch, after its openings"
             return replace(shape, doubt=f"{said}; it stands as an obstacle")
     whole = sum(body.volume for body in shape.bodies if body.is_closed)
@@ -217,15 +229,15 @@ def _is_simple(body: Body) -> bool:
     return abs((whole - cavities).volume() - body.volume) <= _ROUNDING * body.volume
 
 
-def _cut(shape: Shape, openings: Sequence[tuple[int, bool]], holes: Mapping[int, _Made]) -> tuple[Body, ...] | None:
-    """Return the bodies less openings; None: one cannot be cut out, or is the element's own and takes nothing away, or all."""
+def _cut(shape: Shape, openings: Sequence[tuple[int, bool]], holes: Mapping[int, _Made]) -> list[manifold3d.Manifold]:
+    """Return the bodies less openings; none where one cannot be cut out, or is the element's own and takes nothing away, or all."""
     solids = [one for body in shape.bodies if (one := solid(body.vertices, body.triangles)) is not None]
     if len(solids) < len(shape.bodies) or shape.model_T_shape is None:
-        return None
+        return []
     less = solids
     for number, own in openings:
         if number not in holes:
-            return None
+            return []
         hole, before = holes[number], sum(one.volume() for one in less)
         shape_T_hole = np.linalg.inv(shape.model_T_shape) @ hole.matrix
         points = hole.vertices @ shape_T_hole[:3, :3].T + shape_T_hole[:3, 3]
@@ -234,35 +246,33 @@ def _cut(shape: Shape, openings: Sequence[tuple[int, bool]], holes: Mapping[int,
         for owner in np.unique(hole.owners):
             tool = solid(points, hole.triangles[hole.owners == owner])
             if tool is None:
-                return None
+                return []
             less = [one - tool for one in less]
         if own and sum(one.volume() for one in less) > before * (1.0 - _SHRUNK):
-            return None
-    made_of = [mesh_of(one) for one in less if one.volume() > _CRUMB]
-    return tuple(Body(vertices, triangles.astype(np.int32)) for vertices, triangles in made_of) or None
+            return []
+    return [one for one in less if one.volume() > _CRUMB]
 
 
-def pieces_of(bodies: Sequence[Body]) -> int:
-    """Return into how many pieces that do not touch each other the closed ones of these bodies fall."""
-    solids = [one for body in bodies if (one := solid(body.vertices, body.triangles)) is not None]
+def _count_pieces(solids: Iterable[manifold3d.Manifold]) -> int:
+    """Return into how many pieces that do not touch each other bodies fall."""
     # the wall of a cavity is turned inwards
     pieces = [piece for one in solids for piece in one.decompose() if piece.volume() > _CRUMB]
     touching = np.array([[one.min_gap(other, 2 * _TOUCH) <= _TOUCH for other in pieces] for one in pieces], dtype=bool)
     return int(connected_components(touching, directed=False)[0]) if pieces else 0
 
 
-def _less(items: list[ifcopenshell.entity_instance], owners: np.ndarray) -> str:
+def _less(items: list[_Entity], owners: np.ndarray) -> str:
     """Return the items with a surface that gave no triangle, as ``#12=IFCEXTRUDEDAREASOLID``; empty: there is none."""
     made = set(owners.tolist())
     missing = [label(item) for item in items if _has_surface(item) and made.isdisjoint(_numbers(item))]
     return ", ".join(dict.fromkeys(missing[:3]))
 
 
-def _has_surface(item: ifcopenshell.entity_instance) -> bool:
+def _has_surface(item: _Entity) -> bool:
     return any(item.is_a(kind) for kind in _SURFACES)
 
 
-def _numbers(item: ifcopenshell.entity_instance) -> set[int]:
+def _numbers(item: _Entity) -> set[int]:
     """Return the numbers by which the kernel may call an item: its own, a CSG solid's tree's, a surface model's shells'."""
     parts = (getattr(item, name, ()) or () for name in ("TreeRootExpression", "FbsmFaces", "SbsmBoundary"))
     flat = (each for part in parts for each in (part if isinstance(part, tuple) else (part,)))
@@ -277,93 +287,38 @@ def box(points: np.ndarray) -> Body:
     return Body(vertices, triangles.astype(np.int32))
 
 
-def _is_of(geometry: str, representation: ifcopenshell.entity_instance) -> bool:
-    """Whether a geometry was made of a representation, or of what that one maps."""
-    number = int(geometry.split("-")[0])
-    while representation.id() != number:
-        items = representation.Items
-        if len(items) != 1 or not items[0].is_a("IfcMappedItem"):
-            return False
-        representation = items[0].MappingSource.MappedRepresentation
-    return True
-
-
-def _settings(contexts: set[int]) -> ifcopenshell.geom.settings:
-    settings = ifcopenshell.geom.settings()
-    settings.set("context-ids", sorted(contexts))
-    settings.set("no-normals", True)
-    settings.set("weld-vertices", True)
-    settings.set("disable-opening-subtractions", True)
-    # in 2D, what is cut away whole stands whole
-    settings.set("boolean-attempt-2d", False)
-    settings.set("mesher-linear-deflection", DEFLECTION)
-    settings.set("mesher-angular-deflection", _ANGLE)
-    return settings
-
-
-def _arrays(geometry: object) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    vertices = np.frombuffer(geometry.verts_buffer, dtype=np.float64).reshape(-1, 3)  # type: ignore[attr-defined]
-    triangles = np.frombuffer(geometry.faces_buffer, dtype=np.int32).reshape(-1, 3)  # type: ignore[attr-defined]
-    owners = np.frombuffer(geometry.item_ids_buffer, dtype=np.int32)  # type: ignore[attr-defined]
-    if len(owners) != len(triangles):
-        owners = np.zeros(len(triangles), dtype=np.int32)
-    return vertices, triangles, owners
-
-
-def check_mesh(name: str, product: ifcopenshell.entity_instance, vertices: np.ndarray, total: int) -> None:
-    """Check what the kernel made."""
-    what = f"element {product.GlobalId!r}"
-    if total > MOST_TRIANGLES:
-        raise BuildingError(name, what, f"more than {MOST_TRIANGLES} triangles up to it", "less")
-    if len(vertices) and not (np.isfinite(vertices).all() and np.abs(vertices).max() <= FARTHEST):
-        raise BuildingError(name, what, "corners that are no finite numbers, or too far", f"at most {FARTHEST:g} m")
-
-
-def _bodies(made: _Made, items: list[ifcopenshell.entity_instance], about: str, notes: Notes) -> Iterator[Body]:
+def _bodies(made: _Made, items: list[_Entity], about: str, notes: Notes) -> Iterator[Body]:
     copies = Counter(item.id() for item in items)
     for owner in dict.fromkeys(made.owners.tolist()):
         part = made.triangles[made.owners == owner]
         # the same item, mapped several times
         for each in _split(part) if copies[owner] > 1 else [part]:
             used, corners = np.unique(each, return_inverse=True)
-            body = _oriented(made.vertices[used], corners.reshape(-1, 3).astype(np.int32), about, notes)
-            if body is not None:
-                yield body
+            vertices, triangles = welded(made.vertices[used], corners.reshape(-1, 3))
+            body = Body(vertices, triangles.astype(np.int32))
+            if len(triangles) and not body.is_closed:
+                notes.add("Bodies that are not closed (their triangles stand as they are, without a volume)", about)
+            elif abs(enclosed := body.volume) < 1e-15:
+                notes.add("Bodies without any extent are left out", about)
+                continue
+            elif enclosed < 0:
+                body = Body(vertices, np.ascontiguousarray(body.triangles[:, ::-1]))
+            yield body
 
 
 def _split(triangles: np.ndarray) -> list[np.ndarray]:
+    """Return the connected parts."""
     count = int(triangles.max()) + 1
     ends = np.concatenate([triangles[:, :2], triangles[:, 1:]])
     graph = coo_array((np.ones(len(ends), dtype=np.int8), (ends[:, 0], ends[:, 1])), shape=(count, count))
-    _, component = connected_components(graph, directed=False)
-    of = component[triangles[:, 0]]
+    of = connected_components(graph, directed=False)[1][triangles[:, 0]]
     return [triangles[of == each] for each in np.unique(of)]
-
-
-def _oriented(vertices: np.ndarray, triangles: np.ndarray, about: str, notes: Notes) -> Body | None:
-    body = _welded(vertices, triangles)
-    if len(body.triangles) and not body.is_closed:
-        notes.add("Bodies that are not closed (their triangles stand as they are, without a volume)", about)
-        return body
-    enclosed = body.volume
-    if abs(enclosed) < 1e-15:
-        notes.add("Bodies without any extent are left out", about)
-        return None
-    return body if enclosed > 0 else Body(body.vertices, np.ascontiguousarray(body.triangles[:, ::-1]))
-
-
-def _welded(vertices: np.ndarray, triangles: np.ndarray) -> Body:
-    """Vertices at the same place are one; triangles that have two corners there are none."""
-    places, index = np.unique(vertices, axis=0, return_inverse=True)
-    triangles = index.reshape(-1)[triangles].astype(np.int32)
-    a, b, c = triangles.T
-    return Body(places, np.ascontiguousarray(triangles[(a != b) & (b != c) & (c != a)]))
 
 
 # -- representations
 
 
-def body_of(product: ifcopenshell.entity_instance) -> ifcopenshell.entity_instance | None:
+def body_of(product: _Entity) -> _Entity | None:
     """Return a product's body representation; None: it has none."""
     definition = getattr(product, "Representation", None)
     representations = [] if definition is None else [r for r in definition.Representations if r.is_a("IfcShapeModel")]
@@ -377,41 +332,26 @@ def body_of(product: ifcopenshell.entity_instance) -> ifcopenshell.entity_instan
     return None
 
 
-class Items:
-    """Items of the representations of a file."""
-
-    def __init__(self, name: str):
-        self._name = name
-        self._counts: dict[int, int] = {}
-
-    def check(self, representation: ifcopenshell.entity_instance) -> None:
-        """Check that a representation is no loop and of bounded size."""
-        self._count(representation, ())
-
-    def _count(self, node: ifcopenshell.entity_instance, path: tuple[int, ...]) -> int:
-        if (known := self._counts.get(node.id())) is not None:
-            return known
-        if node.id() in path:
-            raise BuildingError(self._name, label(node), "geometry that contains itself", "geometry without a loop")
-        if len(path) >= DEEPEST:
-            raise BuildingError(self._name, label(node), f"geometry nested {DEEPEST} deep", "less")
-        count = 1
-        with Where(self._name, node):
-            parts = _parts(node)
-        for part in parts:
-            count += self._count(part, (*path, node.id()))
-            if count > MOST_ITEMS:
-                raise BuildingError(self._name, label(node), f"more than {MOST_ITEMS} items by mapping", "less")
-        self._counts[node.id()] = count
-        return count
-
-    def resolved(self, representation: ifcopenshell.entity_instance) -> list[ifcopenshell.entity_instance]:
-        """Return the items of a representation that was checked, those of mapped items in their place."""
-        with Where(self._name, representation):
-            return list(_resolved(representation))
+def _count(name: str, node: _Entity, counts: dict[int, int], path: tuple[int, ...] = ()) -> int:
+    """Return how many items a representation or item comes to; refuse a loop, and what is too deep or too much."""
+    if node.id() in counts:
+        return counts[node.id()]
+    if node.id() in path:
+        raise BuildingError(name, label(node), "geometry that contains itself", "geometry without a loop")
+    if len(path) >= DEEPEST:
+        raise BuildingError(name, label(node), f"geometry nested {DEEPEST} deep", "less")
+    with Where(name, node):
+        parts = _parts(node)
+    count = 1
+    for part in parts:
+        count += _count(name, part, counts, (*path, node.id()))
+        if count > MOST_ITEMS:
+            raise BuildingError(name, label(node), f"more than {MOST_ITEMS} items by mapping", "less")
+    counts[node.id()] = count
+    return count
 
 
-def _parts(node: ifcopenshell.entity_instance) -> tuple[ifcopenshell.entity_instance, ...]:
+def _parts(node: _Entity) -> tuple[_Entity, ...]:
     if node.is_a("IfcShapeModel"):
         return tuple(node.Items)
     if node.is_a("IfcMappedItem"):
@@ -423,7 +363,7 @@ def _parts(node: ifcopenshell.entity_instance) -> tuple[ifcopenshell.entity_inst
     return ()
 
 
-def _resolved(representation: ifcopenshell.entity_instance) -> Iterator[ifcopenshell.entity_instance]:
+def _resolved(representation: _Entity) -> Iterator[_Entity]:
     for item in representation.Items:
         if item.is_a("IfcMappedItem"):
             yield from _resolved(item.MappingSource.MappedRepresentation)
@@ -431,63 +371,47 @@ def _resolved(representation: ifcopenshell.entity_instance) -> Iterator[ifcopens
             yield item
 
 
-def bounds(node: ifcopenshell.entity_instance) -> np.ndarray:
-    """Return the lowest and highest coordinates of a representation or one of its items [unit of the file], shape (2, 3).
-
-    What flat faces bound is as large as its points; of other items see `reach`.
-    """
+def bounds(node: _Entity) -> np.ndarray:
+    """Return the lowest and highest coordinates of a representation or one of its items [unit of the file], shape (2, 3)."""
     if node.is_a("IfcRepresentation"):
         boxes = [bounds(item) for item in node.Items]
         return np.array([np.min(boxes, axis=(0, 1)), np.max(boxes, axis=(0, 1))]) if boxes else np.zeros((2, 3))
-    points = list(_points(node)) if any(node.is_a(kind) for kind in _FLAT) else []
+    points: list[tuple[float, ...]] = []
+    for each in node.file.traverse(node) if any(node.is_a(kind) for kind in _FLAT) else ():
+        if each.is_a("IfcCartesianPoint"):
+            points.append(each.Coordinates)
+        elif each.is_a("IfcCartesianPointList3D"):
+            points += each.CoordList
     if not points:
-        return reach(node) * np.array([[-1.0] * 3, [1.0] * 3])
+        return _reach(node, {}) * np.array([[-1.0] * 3, [1.0] * 3])
     return np.array([np.min(points, axis=0), np.max(points, axis=0)])
 
 
-def _points(value: object) -> Iterator[tuple[float, ...]]:
-    if isinstance(value, tuple):
-        for each in value:
-            yield from _points(each)
-    elif isinstance(value, ifcopenshell.entity_instance):
-        if value.is_a("IfcCartesianPoint"):
-            yield value.Coordinates
-        elif value.is_a("IfcCartesianPointList3D"):
-            yield from value.CoordList
-        else:
-            yield from _points(tuple(value))
-
-
-def reach(node: ifcopenshell.entity_instance, known: dict[int, float] | None = None) -> float:
-    """Return how far from its origin a representation or one of its items reaches at most, in the file's units.
+def _reach(value: object, known: dict[int, float], factor: float = 1.0) -> float:
+    """Return how far from its origin an item, or a value in it, reaches at most, in the file's units; `factor`: of a number.
 
     Points, lengths and axes of what is nested are added, of what is side by side the largest counts, a half space only cuts. Far
     too large for most, too small only for a line that is cut by its parameters.
     """
-    known = {} if known is None else known
-    if node.id() == 0 or any(node.is_a(kind) for kind in _NO_REACH):
-        return 0.0
-    if node.id() in known:
-        return known[node.id()]
-    found, scale = 0.0, 1.0
-    for name, value in node.get_info(include_identifier=False).items():
-        if isinstance(value, ifcopenshell.entity_instance):
-            if value.is_a("IfcCartesianTransformationOperator"):
-                scale = max(abs(getattr(value, each, None) or 1.0) for each in ("Scale", "Scale2", "Scale3"))
-            # what is turned about an axis reaches beyond it
-            found += reach(value, known) * (2.0 if value.is_a("IfcAxis1Placement") else 1.0)
-        elif isinstance(value, tuple):
-            found += max((_reach_of(each, name, known) for each in value), default=0.0)
-        elif isinstance(value, float) and not any(word in name for word in ("Angle", "Param", "Scale")):
-            found += abs(value)
-    known[node.id()] = found * max(1.0, scale)
-    return known[node.id()]
-
-
-def _reach_of(value: object, name: str, known: dict[int, float]) -> float:
-    if isinstance(value, ifcopenshell.entity_instance):
-        return reach(value, known)
     if isinstance(value, tuple):
-        return max((_reach_of(each, name, known) for each in value), default=0.0)
-    # the largest coordinate of a point is within its distance
-    return 2.0 * abs(value) if isinstance(value, float) and name.startswith("Coord") else 0.0
+        return max((_reach(each, known, factor) for each in value), default=0.0)
+    if isinstance(value, float):
+        return factor * abs(value)
+    if not isinstance(value, _Entity) or value.id() == 0 or any(map(value.is_a, _NO_REACH)):
+        return 0.0
+    if value.id() in known:
+        return known[value.id()]
+    found, scale = 0.0, 1.0
+    for name, each in value.get_info(include_identifier=False).items():
+        if isinstance(each, tuple):
+            # of numbers in a list only coordinates are lengths; the largest one of a point is within its distance
+            found += _reach(each, known, 2.0 if name.startswith("Coord") else 0.0)
+            continue
+        found += _reach(each, known, 0.0 if any(word in name for word in _NO_LENGTHS) else 1.0)
+        if isinstance(each, _Entity) and each.is_a("IfcAxis1Placement"):
+            # what is turned about an axis reaches beyond it
+            found += _reach(each, known)
+        if isinstance(each, _Entity) and each.is_a("IfcCartesianTransformationOperator"):
+            scale = max(abs(getattr(each, axis, None) or 1.0) for axis in ("Scale", "Scale2", "Scale3"))
+    known[value.id()] = found * max(1.0, scale)
+    return known[value.id()]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 
 from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.names import first_few
@@ -13,17 +13,14 @@ _REMARKS = 20
 
 
 class Notes:
-    """Sentences, each with what it is about.
-
-    Order is that of the first occurrence.
-    """
+    """Sentences with what they are about, in the order of their first occurrence."""
 
     def __init__(self) -> None:
         self._about: dict[str, list[str]] = {}
         self._at: dict[str, list[str]] = {}
 
     def add(self, sentence: str, about: str = "", at: str = "") -> None:
-        """Add a sentence, or one more thing that an earlier one holds for.
+        """Add a sentence, or one more thing that it holds for.
 
         Args:
             sentence: Without a full stop; must make sense for one and for many, whose names follow behind a colon.
@@ -44,17 +41,10 @@ class Notes:
         """Return the sentences that hold for each of these elements and tasks, of those that any holds for."""
         return {name: tuple(remarks) for name, remarks in self._at.items() if name in ids}
 
-    def sentences(self, names: Mapping[str, str] | None = None) -> tuple[str, ...]:
-        """Return them; beyond the first few a sentence only counts what it is about.
-
-        `names`: By id: what is noted by its id alone has its name, too. Empty: it has none.
-        """
-        called = {one: f"{name} ({one})" for one, name in (names or {}).items() if name}
-        found = []
-        for text, named in self._about.items():
-            about = dict.fromkeys(called.get(one, one) for one in named if one)
-            found.append(f"{text}: see {first_few(about, _NAMED)}" if about else text)
-        return tuple(found)
+    def sentences(self) -> tuple[str, ...]:
+        """Return them with the first few of what each is about."""
+        every = ((text, dict.fromkeys(filter(None, about))) for text, about in self._about.items())
+        return tuple(f"{text}: see {first_few(about, _NAMED)}" if about else text for text, about in every)
 
 
 class Misread(BuildingError):
@@ -62,12 +52,7 @@ class Misread(BuildingError):
 
 
 class Where:
-    """Says which file and entity cannot be read, when ifcopenshell raises an exception of its own.
-
-    Note:
-        A broken file can make ifcopenshell raise almost anything (a value of another type than the schema's makes Python code that
-        trusts the schema fail): all but our own errors and the want of memory become `Misread`.
-    """
+    """Turns what ifcopenshell raises of a broken file, almost anything, into `Misread` with file and entity."""
 
     def __init__(self, file: str, entity: object):
         self._file, self._entity = file, entity

@@ -14,6 +14,7 @@ from construction_twin.extensions.work.building import Body, Value
 from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.notes import Notes, Where, label
 
+_Entity = ifcopenshell.entity_instance
 Sets = dict[str, dict[str, Value]]
 
 #: Names of quantities that are the mass of what is delivered, in the order in which they are believed.
@@ -89,7 +90,7 @@ def read_units(file: ifcopenshell.file, name: str, notes: Notes) -> Units:
     return Units(given)
 
 
-def _si_factor(unit: ifcopenshell.entity_instance) -> float | None:
+def _si_factor(unit: _Entity) -> float | None:
     """Return SI units (of mass: kilograms) per unit; None: only people know what it is, or it is none."""
     # money has no kind
     if not hasattr(unit, "UnitType") or any(part.is_a("IfcContextDependentUnit") for part in unit.file.traverse(unit)):
@@ -107,7 +108,7 @@ def _kind(measure: str) -> str:
 # -- of products and tasks
 
 
-def read_properties(product: ifcopenshell.entity_instance, at: str, units: Units, notes: Notes) -> Sets:
+def read_properties(product: _Entity, at: str, units: Units, notes: Notes) -> Sets:
     """Return the values by set and name; the type's own included, the element's win.
 
     What is noted stands at the id `at`, the element's record. A set that cannot be read is left out with a note: it says nothing
@@ -127,7 +128,7 @@ def read_properties(product: ifcopenshell.entity_instance, at: str, units: Units
     return sets
 
 
-def _value(entry: dict, units: Units, what: str, product: ifcopenshell.entity_instance, at: str, notes: Notes) -> Value:
+def _value(entry: dict, units: Units, what: str, product: _Entity, at: str, notes: Notes) -> Value:
     value = entry.get("value")
     measure = entry.get("value_type") or entry.get("class") or ""
     if isinstance(value, bool) or value is None:
@@ -151,7 +152,7 @@ def _value(entry: dict, units: Units, what: str, product: ifcopenshell.entity_in
     return str({key: each for key, each in value.items() if key not in ("id", "type")})[:_LONGEST_TEXT]
 
 
-def _factor(holder: ifcopenshell.entity_instance, measure: str, units: Units) -> float | None:
+def _factor(holder: _Entity, measure: str, units: Units) -> float | None:
     """Return SI units per unit of a property or quantity: of its own unit, else of the project's; None: nobody can say."""
     own = getattr(holder, "Unit", None)
     if own is None:
@@ -160,7 +161,7 @@ def _factor(holder: ifcopenshell.entity_instance, measure: str, units: Units) ->
     return None if kind in _CONVERTED and getattr(own, "UnitType", kind) != kind else _si_factor(own)
 
 
-def read_status(product: ifcopenshell.entity_instance, at: str, sets: Sets, notes: Notes) -> str:
+def read_status(product: _Entity, at: str, sets: Sets, notes: Notes) -> str:
     """Return ``existing``, ``demolish``, ``new`` or nothing: the property `Status` of a set ``Pset_...Common``, in any case.
 
     Another word is noted, and its element is still to be made.
@@ -178,7 +179,7 @@ def read_status(product: ifcopenshell.entity_instance, at: str, sets: Sets, note
 
 
 def read_mass(
-    product: ifcopenshell.entity_instance, at: str, sets: Sets, bodies: tuple[Body, ...], units: Units, notes: Notes
+    product: _Entity, at: str, sets: Sets, bodies: tuple[Body, ...], units: Units, notes: Notes
 ) -> float | None:
     """Return the mass [kg]: a quantity of weight; or the density of its only material times the volume of its closed bodies.
 
@@ -196,37 +197,44 @@ def read_mass(
     return mass
 
 
-def _weight(product: ifcopenshell.entity_instance, at: str, sets: Sets, units: Units, notes: Notes) -> float | None:
+def _weight(product: _Entity, at: str, sets: Sets, units: Units, notes: Notes) -> float | None:
     about = product.Name or label(product)
-    for quantity in _WEIGHTS:
-        for name, values in sets.items():
-            value = values.get(quantity)
-            if "quantit" not in name.lower() and not name.startswith("Qto_"):
+    found = [
+        (name, quantity, values[quantity])
+        for quantity in _WEIGHTS
+        for name, values in sets.items()
+        if quantity in values and ("quantit" in name.lower() or name.startswith("Qto_"))
+    ]
+    for name, quantity, value in found:
+        if not isinstance(value, (int, float)) or isinstance(value, bool):
+            continue
+        if value <= 0:
+            notes.add("Weights that are not above 0 are left out", about, at)
+            continue
+        if "MASSUNIT" not in units.given:
+            entry = ifcopenshell.util.element.get_psets(product, verbose=True)[name][quantity]
+            own = getattr(product.file.by_id(entry["id"]), "Unit", None) if "id" in entry else None
+            if own is None and not units.is_metric:
+                said = f"A weight of {value:.6g} without a unit can be kilograms or pounds, and is not used"
+                notes.add(f"{said}: the project has no unit of mass, and feet or inches", about, at)
                 continue
-            if isinstance(value, (int, float)) and not isinstance(value, bool):
-                if value <= 0:
-                    notes.add("Weights that are not above 0 are left out", about, at)
-                    continue
-                if "MASSUNIT" not in units.given and not _has_own_unit(product, name, quantity):
-                    if not units.is_metric:
-                        said = f"A weight of {value:.6g} without a unit can be kilograms or pounds, and is not used"
-                        notes.add(f"{said}: the project has no unit of mass, and feet or inches", about, at)
-                        continue
-                    notes.add("The project has no unit of mass; weights are taken as kilograms")
-                return float(value)
+            if own is None:
+                notes.add("The project has no unit of mass; weights are taken as kilograms")
+        return float(value)
     return None
 
 
-def _density(product: ifcopenshell.entity_instance, at: str, units: Units, notes: Notes) -> float | None:
+def _density(product: _Entity, at: str, units: Units, notes: Notes) -> float | None:
     """Return the density of an element's only material [kg/m³]; None: not known, or in a unit that nobody says."""
     try:
         with Where("", product):
-            materials = ifcopenshell.util.element.get_materials(product)
-            found = _material_density(materials[0]) if len({each.id() for each in materials}) == 1 else None
-            if found is None:
+            materials = {each.id(): each for each in ifcopenshell.util.element.get_materials(product)}
+            if len(materials) != 1:
                 return None
-            density, holder = found
-            if holder is not None:
+            density, holder = _material_density(*materials.values())
+            if not isinstance(density, (int, float)) or not math.isfinite(density) or density <= 0:
+                return None
+            if holder is not None and getattr(holder, "Unit", None) is not None:
                 factor = _factor(holder, "IfcMassDensityMeasure", units)
             else:
                 # in a metric project authors write kg/m³, whatever its units of length and mass are
@@ -238,37 +246,20 @@ def _density(product: ifcopenshell.entity_instance, at: str, units: Units, notes
     if factor is None:
         said = f"The mass is not known: a density of {density:g} has no unit, and the project none of density"
         notes.add(said, product.Name or label(product), at)
-    return None if factor is None else density * factor
+        return None
+    return float(density) * factor
 
 
-def _has_own_unit(product: ifcopenshell.entity_instance, set_name: str, name: str) -> bool:
-    """Whether a value that was read has a unit of its own."""
-    entry = ifcopenshell.util.element.get_psets(product, verbose=True)[set_name][name]
-    return "id" in entry and getattr(product.file.by_id(entry["id"]), "Unit", None) is not None
+def _material_density(material: _Entity) -> tuple[object, _Entity | None]:
+    """Return the density that a material has, and the property that holds it; both None: it has none."""
+    if material.file.schema == "IFC2X3":
+        given = [each for each in material.file.get_inverse(material) if each.is_a("IfcGeneralMaterialProperties")]
+        return next((each.MassDensity for each in given), None), None
+    for values in ifcopenshell.util.element.get_psets(material, verbose=True).values():
+        if isinstance(entry := values.get("MassDensity"), dict):
+            return entry.get("value"), material.file.by_id(entry["id"])
+    return None, None
 
 
 def _is_power_of_ten(factor: float) -> bool:
     return math.isclose(factor, 10.0 ** round(math.log10(factor)), rel_tol=1e-9)
-
-
-def _material_density(
-    material: ifcopenshell.entity_instance,
-) -> tuple[float, ifcopenshell.entity_instance | None] | None:
-    """Return the density that a material has, and the property that holds it if that has a unit of its own."""
-    found: object = None
-    holder = None
-    if material.file.schema == "IFC2X3":
-        for properties in material.file.get_inverse(material):
-            if properties.is_a("IfcGeneralMaterialProperties"):
-                found = properties.MassDensity
-                break
-    else:
-        for values in ifcopenshell.util.element.get_psets(material, verbose=True).values():
-            if isinstance(entry := values.get("MassDensity"), dict):
-                found = entry.get("value")
-                given = material.file.by_id(entry["id"])
-                holder = given if getattr(given, "Unit", None) is not None else None
-                break
-    if not isinstance(found, (int, float)) or isinstance(found, bool) or not math.isfinite(found) or found <= 0:
-        return None
-    return float(found), holder

@@ -9,7 +9,8 @@ import codecs
 import hashlib
 import os
 import re
-from dataclasses import dataclass, replace
+from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 
 import ifcopenshell
@@ -20,21 +21,21 @@ import numpy as np
 from construction_twin.core.files import read_file
 from construction_twin.extensions.work.building import Body, BuildingModel, Element, Task
 from construction_twin.extensions.work.errors import BuildingError
-from construction_twin.extensions.work.ifc.doubts import ABOUT_ALL, Doubts, check_complete, entries
+from construction_twin.extensions.work.ifc.doubts import ABOUT_ALL, Doubts, entries
 from construction_twin.extensions.work.ifc.geometry import NO_UNIT_CODES, Shape, body_of, bounds, shapes
 from construction_twin.extensions.work.ifc.notes import Misread, Notes, Where, label
 from construction_twin.extensions.work.ifc.properties import (
-    Units,
     read_mass,
     read_properties,
     read_status,
     read_units,
 )
-from construction_twin.extensions.work.ifc.relations import Relations, read_relations
+from construction_twin.extensions.work.ifc.relations import read_relations
 from construction_twin.extensions.work.ifc.tasks import Groups, read_tasks, unique_id
-from construction_twin.extensions.work.wholes import in_one_piece, is_workpiece
+from construction_twin.extensions.work.wholes import in_one_piece, is_workpiece, wholes
 from construction_twin.kinematics.chain import Pose
 
+_Entity = ifcopenshell.entity_instance
 #: Schemas as the parser calls them: their last publication. Earlier ones of the same name say nothing that it reads otherwise.
 SCHEMAS = {"IFC2X3": b"IFC2X3", "IFC4": b"IFC4", "IFC4X3": b"IFC4X3_ADD2"}
 _SCHEMA = re.compile(rb"FILE_SCHEMA\s*\(\s*\(\s*'([^']*)'")
@@ -49,39 +50,30 @@ class Placements:
         self._name, self._unit = name, unit
         self._known: dict[int, np.ndarray | None] = {}
 
-    def matrix(self, product: ifcopenshell.entity_instance) -> np.ndarray | None:
-        """Return ``model_T_element`` of a product [m], shape (4, 4); None: on a grid or alignment, which the kernel knows."""
-        with Where(self._name, product):
-            placement = product.ObjectPlacement
+    def matrix(self, placement: _Entity | None, inside: tuple[int, ...] = ()) -> np.ndarray | None:
+        """Return ``model_T_element`` [m], shape (4, 4); None: on a grid or alignment, which the kernel knows."""
         if placement is None:
             return np.eye(4)
-        chain: dict[int, ifcopenshell.entity_instance] = {}
-        while placement is not None and placement.id() not in self._known:
-            if placement.id() in chain:
-                found = "placed relative to itself"
-                raise BuildingError(self._name, label(placement), found, "placements without a loop")
-            chain[placement.id()] = placement
-            with Where(self._name, placement):
-                placement = placement.PlacementRelTo if placement.is_a("IfcLocalPlacement") else None
-        parent = np.eye(4) if placement is None else self._known[placement.id()]
-        for each in reversed(chain.values()):
-            parent = self._step(parent, each)
-            self._known[each.id()] = parent
-        return parent
+        if placement.id() in inside:
+            found = "placed relative to itself"
+            raise BuildingError(self._name, label(placement), found, "placements without a loop")
+        if placement.id() not in self._known:
+            matrix = None
+            with Where(self._name, placement), np.errstate(all="ignore"):
+                if placement.is_a("IfcLocalPlacement"):
+                    matrix = self.matrix(placement.PlacementRelTo, (*inside, placement.id()))
+                if matrix is not None:
+                    matrix = matrix @ self._relative(placement)
+                    check_rigid(self._name, placement, matrix)
+            self._known[placement.id()] = matrix
+        return self._known[placement.id()]
 
-    def _step(self, parent: np.ndarray | None, placement: ifcopenshell.entity_instance) -> np.ndarray | None:
-        if parent is None or not placement.is_a("IfcLocalPlacement"):
-            return None
-        with Where(self._name, placement), np.errstate(all="ignore"):
-            relative = np.array(
-                ifcopenshell.util.placement.get_axis2placement(placement.RelativePlacement), dtype=float
-            )
-            relative[:3, 3] *= self._unit
-            # IFC's x axis is the given one projected at right angles to z
-            relative[:3, 0] = np.cross(relative[:3, 1], relative[:3, 2])
-            matrix = parent @ relative
-        check_rigid(self._name, placement, matrix)
-        return matrix
+    def _relative(self, placement: _Entity) -> np.ndarray:
+        relative = np.array(ifcopenshell.util.placement.get_axis2placement(placement.RelativePlacement), dtype=float)
+        relative[:3, 3] *= self._unit
+        # IFC's x axis is the given one projected at right angles to z
+        relative[:3, 0] = np.cross(relative[:3, 1], relative[:3, 2])
+        return relative
 
 
 def check_rigid(name: str, entity: object, matrix: np.ndarray) -> None:
@@ -103,18 +95,6 @@ _UNREAD = {
 }
 
 
-def note_unread(file: ifcopenshell.file, name: str, elements: dict[str, Element], notes: Notes) -> None:
-    """Note what is in a file and not read, and what has no body and so is no obstacle."""
-    with Where(name, "the file"):
-        for kind, meaning in _UNREAD.items():
-            if kind in file.types() and (count := len(file.by_type(kind))):
-                notes.add(f"Not read: {count} {kind}, {meaning}")
-    wholes = {element.assembly for element in elements.values()}
-    for element in elements.values():
-        if not element.bodies and element.id not in wholes:
-            notes.add("Elements without a body are no obstacle", element.name or element.id, element.id)
-
-
 #: Elements of a file.
 MOST_ELEMENTS = 100_000
 #: Products with geometry that nothing can touch: holes, rooms, drawings, loads.
@@ -132,15 +112,191 @@ _STATUS = {
 _WITH_BODY = ("IfcSpatialElement", "IfcSpatialStructureElement", "IfcProxy")
 
 
-@dataclass(frozen=True)
-class _Found:
-    """What is common to the reading of all elements."""
+class _Reader:
+    """The elements of a file."""
 
-    name: str
-    units: Units
-    relations: Relations
-    notes: Notes
-    doubts: Doubts
+    def __init__(self, file: ifcopenshell.file, name: str, notes: Notes, doubts: Doubts):
+        self.file, self.name, self.notes, self.doubts = file, name, notes, doubts
+        self.units, self.relations = read_units(file, name, notes), read_relations(file, name)
+        #: Ids by the numbers of the products.
+        self.ids: dict[int, str] = {}
+
+    def note_coordinates(self) -> None:
+        """Note what of the coordinate systems is left out: the map's, and the one of the model's context."""
+        for conversion in () if self.file.schema == "IFC2X3" else self.file.by_type("IfcMapConversion"):
+            with Where(self.name, conversion):
+                shift = [conversion.Eastings, conversion.Northings, conversion.OrthogonalHeight]
+                turned = ", turned" * ((conversion.XAxisOrdinate or 0.0) != 0.0)
+            shown = ", ".join(f"{value:.3f}" for value in shift)
+            said = f"The map conversion (eastings, northings, height {shown}{turned}) is left out"
+            self.notes.add(f"{said}: poses are the model's own")
+        for context in self.file.by_type("IfcGeometricRepresentationContext", include_subtypes=False):
+            with Where(self.name, context):
+                system = context.WorldCoordinateSystem
+                if context.ContextType != "Model" or system is None or not system.is_a("IfcAxis2Placement3D"):
+                    continue
+                matrix = np.array(ifcopenshell.util.placement.get_axis2placement(system), dtype=float)
+            if not np.allclose(matrix, np.eye(4), atol=1e-9):
+                shown = ", ".join(f"{value * self.units.length:.3f}" for value in matrix[:3, 3])
+                turned = ", turned" * (not np.allclose(matrix[:3, :3], np.eye(3), atol=1e-9))
+                said = f"The world coordinate system of the model's context ({shown} m{turned}) is left out"
+                self.notes.add(f"{said}: poses are those of the placements")
+
+    def elements(self) -> dict[str, Element]:
+        """Read them, by their ids."""
+        products = self._products()
+        placements = Placements(self.name, self.units.length)
+        taken: set[str] = set()
+        matrices: dict[int, np.ndarray | None] = {}
+        bodies: dict[int, _Entity] = {}
+        for product in products:
+            with Where(self.name, product):
+                self.ids[product.id()] = unique_id(product, taken, self.notes)
+                taken.add(self.ids[product.id()])
+                try:
+                    matrices[product.id()] = placements.matrix(product.ObjectPlacement)
+                except Misread as error:
+                    # it stands nobody knows where
+                    matrices[product.id()] = None
+                    self.doubts.everything = f"{ABOUT_ALL}: {error}"
+                if (body := body_of(product)) is not None:
+                    bodies[product.id()] = body
+                    self._note_more(product, body, self.ids[product.id()])
+        openings = {
+            product.id(): [
+                (opening, each is product)
+                for each in (product, *self.relations.wholes(product))
+                for opening in self.relations.openings.get(each.id(), ())
+            ]
+            for product in products
+        }
+        unit, notes = self.units.length, self.notes
+        found = shapes(self.file, self.name, bodies, openings, unit, notes, self._take_kernel_log)
+        made = {shape.id: shape for shape in found}
+        for number, shape in made.items():
+            if not shape.doubt and number in self.doubts.shapes:
+                made[number] = shape.doubted(self.doubts.shapes[number], bounds(bodies[number]) * self.units.length)
+        elements = {}
+        for product in products:
+            with Where(self.name, product):
+                element = self._element(product, matrices[product.id()], made.get(product.id()))
+            if element is not None:
+                elements[element.id] = element
+        if self.doubts.everything:
+            elements = {
+                one: replace(each, doubt=each.doubt or self.doubts.everything) for one, each in elements.items()
+            }
+        for one, element in elements.items():
+            if element.doubt:
+                said = f"THE BODY IS DOUBTFUL: {element.doubt}, the arm does not place it"
+                self.notes.add(said, element.name or one, one)
+        _hand_down_status(elements, self.notes)
+        _leave_out_doubles(elements, self.notes)
+        self.ids = {entity: element for entity, element in self.ids.items() if element in elements}
+        return elements
+
+    def _note_more(self, product: _Entity, body: _Entity, element_id: str) -> None:
+        """Note what else a product says of its shape: bodies beside the one that is taken, openings without one."""
+        about = product.Name or element_id
+        same = [
+            each
+            for each in product.Representation.Representations
+            if (each.RepresentationIdentifier, each.ContextOfItems)
+            == (body.RepresentationIdentifier, body.ContextOfItems)
+        ]
+        if len(same) > 1:
+            said = f"Elements with {len(same)} bodies of one kind, of which only the first is taken"
+            self.notes.add(said, about, element_id)
+        if any(body_of(opening) is None for opening in self.relations.openings.get(product.id(), ())):
+            self.notes.add("Openings without a body are not cut out", about, element_id)
+
+    def _take_kernel_log(self, product: _Entity) -> None:
+        """Note what the kernel said of a product, and doubt it."""
+        for entry in entries(ifcopenshell.get_log()):
+            if entry.code in NO_UNIT_CODES:
+                expected = (
+                    "a unit of length that the geometry kernel can read: of the SI, or converted to that in one step"
+                )
+                raise BuildingError(self.name, "units of the project", entry.text, expected)
+            self.doubts.add({product.id(), *entry.numbers}, entry.text)
+            self.notes.add(f"The geometry kernel says: {entry.text}", self.ids.get(product.id(), product.GlobalId))
+
+    def _products(self) -> list[_Entity]:
+        products = []
+        # by_type gives one class after the other, and numbers are the file's order
+        for product in sorted(self.file.by_type("IfcProduct"), key=lambda product: product.id()):
+            with Where(self.name, product):
+                if any(product.is_a(kind) for kind in _NOT_THERE):
+                    continue
+                has_body = any(product.is_a(kind) for kind in _WITH_BODY) and body_of(product) is not None
+                if product.is_a("IfcElement") or has_body:
+                    products.append(product)
+        if len(products) > MOST_ELEMENTS:
+            raise BuildingError(self.name, "elements", str(len(products)), f"at most {MOST_ELEMENTS}")
+        return products
+
+    def _element(self, product: _Entity, matrix: np.ndarray | None, shape: Shape | None) -> Element | None:
+        element_id = self.ids[product.id()]
+        bodies: tuple[Body, ...] = ()
+        if matrix is None:
+            if shape is None or shape.model_T_shape is None:
+                said = "Placed on a grid or an alignment, without a body: left out"
+                self.notes.add(said, element_id)
+                if shape is not None:
+                    self.doubts.everything = f"{ABOUT_ALL}: {said}"
+                return None
+            matrix = shape.model_T_shape
+            check_rigid(self.name, product, matrix)
+            self.notes.add("Placed on a grid or an alignment, as the geometry kernel says", element_id)
+        if shape is not None:
+            bodies = shape.bodies
+            # the kernel can have another frame
+            offset = np.eye(4) if shape.model_T_shape is None else np.linalg.inv(matrix) @ shape.model_T_shape
+            if not np.allclose(offset, np.eye(4), atol=1e-6):
+                turn, shift = offset[:3, :3], offset[:3, 3]
+                bodies = tuple(Body(body.vertices @ turn.T + shift, body.triangles) for body in bodies)
+            if product.ObjectPlacement is None:
+                said = "HAS A BODY AND NO PLACEMENT: where it is nobody says, taken at the model's origin"
+                self.notes.add(said, product.Name or element_id, element_id)
+        doubt = "" if shape is None else shape.doubt
+        if not doubt and (unknown := self.doubts.shapes.get(product.id())):
+            # it can have a body that nobody knows
+            doubt = self.doubts.everything = unknown
+        above = self.relations.wholes(product)
+        doubt = doubt or next((why for each in (product, *above) if (why := self.doubts.related.get(each.id()))), "")
+        properties = read_properties(product, element_id, self.units, self.notes)
+        kind = ifcopenshell.util.element.get_type(product)
+        assembly = next((self.ids[whole.id()] for whole in above if whole.id() in self.ids), "")
+        mass = read_mass(product, element_id, properties, () if doubt else bodies, self.units, self.notes)
+        return Element(
+            id=element_id,
+            ifc_class=product.is_a(),
+            name=product.Name or "",
+            type_name=(kind.Name if kind is not None else product.ObjectType) or "",
+            tag=getattr(product, "Tag", None) or "",
+            assembly=assembly,
+            model_T_element=Pose(matrix[:3, 3].copy(), matrix[:3, :3].copy()),
+            bodies=bodies,
+            properties=properties,
+            mass=mass,
+            status=read_status(product, element_id, properties, self.notes),
+            doubt=doubt,
+            on=tuple(self.ids[host.id()] for host in self.relations.on.get(product.id(), ()) if host.id() in self.ids),
+        )
+
+    def in_one_piece(self, elements: dict[str, Element], tasks: dict[str, Task]) -> dict[str, Element]:
+        """Return what comes in one piece, as `in_one_piece` does, and note it."""
+        with Where(self.name, "the file"):
+            assemblies = [each for each in self.file.by_type("IfcElementAssembly") if each.AssemblyPlace == "FACTORY"]
+        changed = in_one_piece(elements, tasks, {self.ids[each.id()] for each in assemblies if each.id() in self.ids})
+        for name, element in changed.items():
+            if element.bodies:
+                about = element.name or name
+                self.notes.add("Comes in one piece: its parts are a body and a mass with it", about, name)
+                if element.mass is None:
+                    said = "Comes in one piece with something whose mass is not known: its mass is not known either"
+                    self.notes.add(said, about, name)
+        return changed
 
 
 def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
@@ -152,36 +308,38 @@ def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
         raise BuildingError(name, "the file", error.strerror or str(error), "an IFC file that can be read") from error
     digest = hashlib.sha256(contents).hexdigest()
     notes = Notes()
-    contents = for_parser(contents, name, notes)
+    contents = _in_ascii(_of_last_publication(contents, name), notes)
     file = _open(contents, name)
     doubts = Doubts(file)
     log = tuple(entries(ifcopenshell.get_log()))
     with Where(name, "the file"):
-        check_complete(log, contents, name)
-        doubts.take_parser(log, contents)
+        doubts.take_parser(log, contents, name)
         for entry in log:
             notes.add("The parser says", entry.text)
-        doubts.drop_broken_relations(log)
     # it can be large, and the geometry needs room
     del contents
     # its units are not the model's, and the kernel reads those of one context only
     for library in () if file.schema == "IFC2X3" else file.by_type("IfcProjectLibrary"):
         file.remove(library)
-    found = _Found(name, read_units(file, name, notes), read_relations(file, name), notes, doubts)
-    _note_map(file, found)
-    _note_origin(file, found)
-    elements, ids = _elements(file, found)
-    note_unread(file, name, elements, notes)
-    given, groups = _given(elements), Groups(found.relations, ids, notes)
-    tasks, sequences = read_tasks(file, name, groups, given, found.units, notes)
+    reader = _Reader(file, name, notes, doubts)
+    reader.note_coordinates()
+    elements = reader.elements()
+    for kind, meaning in _UNREAD.items():
+        if kind in file.types():
+            notes.add(f"Not read: {len(file.by_type(kind))} {kind}, {meaning}")
+    with_parts = {element.assembly for element in elements.values()}
+    for element in elements.values():
+        if not element.bodies and element.id not in with_parts:
+            notes.add("Elements without a body are no obstacle", element.name or element.id, element.id)
+    given, groups = _given(elements), Groups(reader.relations, reader.ids, notes)
+    tasks, sequences = read_tasks(file, name, groups, given, reader.units, notes)
     elements |= groups.elements
-    elements |= _in_one_piece(file, elements, ids, tasks, found)
+    elements |= reader.in_one_piece(elements, tasks)
     project = file.by_type("IfcProject")[0]
     with Where(name, project):
         title = project.Name or getattr(project, "LongName", None) or ""
-    names = {one: element.name for one, element in elements.items()} | {one: task.name for one, task in tasks.items()}
     return BuildingModel(
-        name, digest, title, elements, tasks, sequences, notes.sentences(names),
+        name, digest, title, elements, tasks, sequences, notes.sentences(),
         notes.remarks({*elements, *tasks}),
     )  # fmt: skip
 
@@ -191,32 +349,11 @@ def _given(elements: dict[str, Element]) -> set[str]:
     parents = {element.assembly for element in elements.values()}
     found = {element.id for element in elements.values() if is_workpiece(element, element.id in parents)}
     for name in list(found):
-        whole = elements[name].assembly
-        while whole in elements and not elements[whole].bodies and whole not in found:
+        for whole in wholes(elements, name):
+            if elements[whole].bodies:
+                break
             found.add(whole)
-            whole = elements[whole].assembly
     return found
-
-
-def _in_one_piece(
-    file: ifcopenshell.file, elements: dict[str, Element], ids: dict[int, str], tasks: dict[str, Task], found: _Found
-) -> dict[str, Element]:
-    """Return what comes in one piece, as `in_one_piece` does, and note it."""
-    with Where(found.name, "the file"):
-        factory = {
-            ids[each.id()]
-            for each in file.by_type("IfcElementAssembly")
-            if each.AssemblyPlace == "FACTORY" and each.id() in ids
-        }
-    changed = in_one_piece(elements, tasks, factory)
-    for name, element in changed.items():
-        if element.bodies:
-            about = element.name or name
-            found.notes.add("Comes in one piece: its parts are a body and a mass with it", about, name)
-            if element.mass is None:
-                said = "Comes in one piece with something whose mass is not known: its mass is not known either"
-                found.notes.add(said, about, name)
-    return changed
 
 
 def _open(contents: bytes, name: str) -> ifcopenshell.file:
@@ -239,195 +376,11 @@ def _open(contents: bytes, name: str) -> ifcopenshell.file:
     return file
 
 
-def _note_map(file: ifcopenshell.file, found: _Found) -> None:
-    if file.schema == "IFC2X3":
-        return
-    for conversion in file.by_type("IfcMapConversion"):
-        with Where(found.name, conversion):
-            shift = [conversion.Eastings, conversion.Northings, conversion.OrthogonalHeight]
-            turned = (conversion.XAxisOrdinate or 0.0) != 0.0
-        shown = ", ".join(f"{value:.3f}" for value in shift) + ", turned" * turned
-        found.notes.add(
-            f"The map conversion (eastings, northings, height {shown}) is left out: poses are the model's own"
-        )
-
-
-def _note_origin(file: ifcopenshell.file, found: _Found) -> None:
-    """Note where the coordinate system of the model's context is elsewhere than that of its placements."""
-    for context in file.by_type("IfcGeometricRepresentationContext", include_subtypes=False):
-        with Where(found.name, context):
-            system = context.WorldCoordinateSystem
-            if context.ContextType != "Model" or system is None or not system.is_a("IfcAxis2Placement3D"):
-                continue
-            matrix = np.array(ifcopenshell.util.placement.get_axis2placement(system), dtype=float)
-        if not np.allclose(matrix, np.eye(4), atol=1e-9):
-            shift = ", ".join(f"{value * found.units.length:.3f}" for value in matrix[:3, 3])
-            turned = ", turned" * (not np.allclose(matrix[:3, :3], np.eye(3), atol=1e-9))
-            said = f"The world coordinate system of the model's context ({shift} m{turned}) is left out"
-            found.notes.add(f"{said}: poses are those of the placements")
-
-
-def _elements(file: ifcopenshell.file, found: _Found) -> tuple[dict[str, Element], dict[int, str]]:
-    products = _products(file, found)
-    placements = Placements(found.name, found.units.length)
-    ids: dict[int, str] = {}
-    taken: set[str] = set()
-    matrices: dict[int, np.ndarray | None] = {}
-    bodies: dict[int, ifcopenshell.entity_instance] = {}
-    for product in products:
-        with Where(found.name, product):
-            ids[product.id()] = unique_id(product, taken, found.notes)
-            taken.add(ids[product.id()])
-            try:
-                matrices[product.id()] = placements.matrix(product)
-            except Misread as error:
-                # it stands nobody knows where
-                matrices[product.id()] = None
-                found.doubts.everything = f"{ABOUT_ALL}: {error}"
-            if (body := body_of(product)) is not None:
-                bodies[product.id()] = body
-                _note_more(product, body, ids[product.id()], found)
-    openings = {
-        product.id(): [
-            (opening, each is product)
-            for each in (product, *found.relations.wholes(product))
-            for opening in found.relations.openings.get(each.id(), ())
-        ]
-        for product in products
-    }
-    made = {shape.id: shape for shape in shapes(file, found.name, bodies, openings, found.units.length, found.notes)}
-    _take_kernel_log(found)
-    for number, shape in made.items():
-        if not shape.doubt and number in found.doubts.shapes:
-            made[number] = shape.doubted(found.doubts.shapes[number], bounds(bodies[number]) * found.units.length)
-    elements = {}
-    for product in products:
-        with Where(found.name, product):
-            element = _element(product, ids, matrices[product.id()], made.get(product.id()), found)
-        if element is not None:
-            elements[element.id] = element
-    if found.doubts.everything:
-        elements = {one: replace(each, doubt=each.doubt or found.doubts.everything) for one, each in elements.items()}
-    for one, element in elements.items():
-        if element.doubt:
-            said = f"THE BODY IS DOUBTFUL: {element.doubt}, the arm does not place it"
-            found.notes.add(said, element.name or one, one)
-    _hand_down_status(elements, found.notes)
-    _leave_out_doubles(elements, found.notes)
-    return elements, {entity: element for entity, element in ids.items() if element in elements}
-
-
-def _note_more(
-    product: ifcopenshell.entity_instance, body: ifcopenshell.entity_instance, element_id: str, found: _Found
-) -> None:
-    """Note what else a product says of its shape: bodies beside the one that is taken, openings without one."""
-    about = product.Name or element_id
-    same = [
-        each
-        for each in product.Representation.Representations
-        if (each.RepresentationIdentifier, each.ContextOfItems) == (body.RepresentationIdentifier, body.ContextOfItems)
-    ]
-    if len(same) > 1:
-        said = f"Elements with {len(same)} bodies of one kind, of which only the first is taken"
-        found.notes.add(said, about, element_id)
-    if any(body_of(opening) is None for opening in found.relations.openings.get(product.id(), ())):
-        found.notes.add("Openings without a body are not cut out", about, element_id)
-
-
-def _take_kernel_log(found: _Found) -> None:
-    """Note what the kernel said of shapes, and doubt those that it said it of."""
-    for entry in entries(ifcopenshell.get_log()):
-        if entry.code in NO_UNIT_CODES:
-            expected = "a unit of length that the geometry kernel can read: of the SI, or converted to that in one step"
-            raise BuildingError(found.name, "units of the project", entry.text, expected)
-        found.doubts.take_kernel(entry)
-        found.notes.add(f"The geometry kernel says: {entry.text}", entry.about)
-
-
-def _products(file: ifcopenshell.file, found: _Found) -> list[ifcopenshell.entity_instance]:
-    products = []
-    # by_type gives one class after the other, and numbers are the file's order
-    for product in sorted(file.by_type("IfcProduct"), key=lambda product: product.id()):
-        with Where(found.name, product):
-            if any(product.is_a(kind) for kind in _NOT_THERE):
-                continue
-            has_body = any(product.is_a(kind) for kind in _WITH_BODY) and body_of(product) is not None
-            if product.is_a("IfcElement") or has_body:
-                products.append(product)
-    if len(products) > MOST_ELEMENTS:
-        raise BuildingError(found.name, "elements", str(len(products)), f"at most {MOST_ELEMENTS}")
-    return products
-
-
-def _element(
-    product: ifcopenshell.entity_instance,
-    ids: dict[int, str],
-    matrix: np.ndarray | None,
-    shape: Shape | None,
-    found: _Found,
-) -> Element | None:
-    element_id = ids[product.id()]
-    bodies: tuple[Body, ...] = ()
-    if matrix is None:
-        if shape is None or shape.model_T_shape is None:
-            said = "Placed on a grid or an alignment, without a body: left out"
-            found.notes.add(said, element_id)
-            if shape is not None:
-                found.doubts.everything = f"{ABOUT_ALL}: {said}"
-            return None
-        matrix = shape.model_T_shape
-        check_rigid(found.name, product, matrix)
-        found.notes.add("Placed on a grid or an alignment, as the geometry kernel says", element_id)
-    if shape is not None:
-        bodies = _in_frame(shape, matrix)
-        if product.ObjectPlacement is None:
-            said = "HAS A BODY AND NO PLACEMENT: where it is nobody says, taken at the model's origin"
-            found.notes.add(said, product.Name or element_id, element_id)
-    doubt = "" if shape is None else shape.doubt
-    if not doubt and (unknown := found.doubts.shapes.get(product.id())):
-        # it can have a body that nobody knows
-        doubt = found.doubts.everything = unknown
-    wholes = (product, *found.relations.wholes(product))
-    doubt = doubt or next((why for each in wholes if (why := found.doubts.related.get(each.id()))), "")
-    properties = read_properties(product, element_id, found.units, found.notes)
-    kind = ifcopenshell.util.element.get_type(product)
-    assembly = next((ids[whole.id()] for whole in found.relations.wholes(product) if whole.id() in ids), "")
-    mass = read_mass(product, element_id, properties, () if doubt else bodies, found.units, found.notes)
-    return Element(
-        id=element_id,
-        ifc_class=product.is_a(),
-        name=product.Name or "",
-        type_name=(kind.Name if kind is not None else product.ObjectType) or "",
-        tag=getattr(product, "Tag", None) or "",
-        assembly=assembly,
-        model_T_element=Pose(matrix[:3, 3].copy(), matrix[:3, :3].copy()),
-        bodies=bodies,
-        properties=properties,
-        mass=mass,
-        status=read_status(product, element_id, properties, found.notes),
-        doubt=doubt,
-        on=tuple(ids[host.id()] for host in found.relations.on.get(product.id(), ()) if host.id() in ids),
-    )
-
-
-def _in_frame(shape: Shape, matrix: np.ndarray) -> tuple[Body, ...]:
-    """Bodies in the frame of the placement, where the kernel has another one."""
-    if shape.model_T_shape is None:
-        return shape.bodies
-    offset = np.linalg.inv(matrix) @ shape.model_T_shape
-    if np.allclose(offset, np.eye(4), atol=1e-6):
-        return shape.bodies
-    return tuple(Body(body.vertices @ offset[:3, :3].T + offset[:3, 3], body.triangles) for body in shape.bodies)
-
-
 def _hand_down_status(elements: dict[str, Element], notes: Notes) -> None:
     """Give parts the status of the nearest whole that has one; note what is not to be made. What is new has none in the end."""
     said = {name: element.status for name, element in elements.items()}
     for name, element in elements.items():
-        status, whole = element.status, element.assembly
-        while not status and whole in elements:
-            status, whole = said[whole], elements[whole].assembly
-        status = "" if status == "new" else status
+        status = next((said[one] for one in (name, *wholes(elements, name)) if said[one]), "").replace("new", "")
         elements[name] = replace(element, status=status)
         if status:
             notes.add(_STATUS[status], element.name or name, name)
@@ -435,24 +388,14 @@ def _hand_down_status(elements: dict[str, Element], notes: Notes) -> None:
 
 def _leave_out_doubles(elements: dict[str, Element], notes: Notes) -> None:
     """Take the body of an element whose parts fill it: it would stand where they are to be placed."""
-    filled: dict[str, float] = {}
-    for element in elements.values():
-        if element.assembly:
-            filled[element.assembly] = filled.get(element.assembly, 0.0) + _volume(element)
+    volumes = {name: sum(abs(body.volume) for body in element.bodies) for name, element in elements.items()}
+    filled: dict[str, float] = defaultdict(float)
+    for name, element in elements.items():
+        filled[element.assembly] += volumes[name]
     for whole, parts in filled.items():
-        own = _volume(elements[whole]) if whole in elements else 0.0
-        if own > 0 and parts >= own / 2:
+        if 0 < volumes.get(whole, 0.0) <= 2 * parts:
             notes.add("Has a body and parts that fill it; only the parts' bodies are taken", whole)
             elements[whole] = replace(elements[whole], bodies=())
-
-
-def _volume(element: Element) -> float:
-    return sum(abs(body.volume) for body in element.bodies)
-
-
-def for_parser(contents: bytes, name: str, notes: Notes) -> bytes:
-    """Return contents as the parser reads all of them; letters that it would drop are noted."""
-    return _in_ascii(_of_last_publication(contents, name), notes)
 
 
 def _of_last_publication(contents: bytes, name: str) -> bytes:

@@ -4,24 +4,23 @@ That process is this module as a program, `python -m ...ifc.reading FILE SHA256 
 hold before ifcopenshell is imported. It writes the model into OUTPUT and ends with 0; where it cannot, `[what, found, expected]` as
 JSON into OUTPUT.error. None of that is believed without a check: the process may have been taken over by a hostile file.
 
-A model as a file is NumPy arrays and one JSON text in an .npz, nothing of which can be executed. An array in the JSON is
-``{digest: [name, start, *shape]}``, its numbers in one of the two arrays: no property can be named by the SHA-256 of its own file.
+A model as a file is one JSON text, nothing of which can be executed. An array in it is ``{digest: [kind, base64, *shape]}``: no
+property can be named by the SHA-256 of its own file.
 """
 
 from __future__ import annotations
 
+import base64
 import dataclasses
 import hashlib
 import importlib.util
 import json
-import math
 import os
 import resource
 import signal
 import subprocess
 import sys
 import tempfile
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,16 +30,16 @@ from pydantic import ConfigDict, TypeAdapter
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.files import read_file
-from construction_twin.extensions.work.building import BuildingModel, Element
+from construction_twin.extensions.work.building import BuildingModel
 from construction_twin.extensions.work.errors import BuildingError
 
 #: Of the form of its file and of what the reader understands: another number, and what is in a cache is read anew.
-VERSION = 9
+VERSION = 10
 #: Largest file [bytes].
 MOST_BYTES = 1 << 30
 #: Longest text about what is wrong with one [characters].
 _LONGEST_TEXT = 200
-_KINDS = {"text": np.uint8, "numbers": np.float64, "indices": np.int32}
+_KINDS = {"f": np.float64, "i": np.int32}
 _MODEL: TypeAdapter[tuple[BuildingModel]] = TypeAdapter(
     tuple[BuildingModel], config=ConfigDict(arbitrary_types_allowed=True, allow_inf_nan=False)
 )
@@ -57,13 +56,7 @@ _LONGEST = 4096
 
 @dataclass(frozen=True)
 class Bounds:
-    """What the reading of one file may take.
-
-    Attributes:
-        memory_bytes: Address space of the process, of which the libraries take about 1 GiB.
-        cpu: Processor time [s].
-        wall: Time until it is ended [s]; more than `cpu`, for a machine that does something else as well.
-    """
+    """What the reading of one file may take: `memory_bytes` of address space, of which the libraries take 1 GiB, and seconds."""
 
     file_bytes: int = 512 << 20
     memory_bytes: int = 6 << 30
@@ -72,13 +65,10 @@ class Bounds:
 
 
 def read_building(path: str | Path, cache: str | Path | None = None, bounds: Bounds = Bounds()) -> BuildingModel:
-    """Read an IFC file.
-
-    Args:
-        cache: Folder in which what was read is kept, by the file's SHA-256; made if it is not there. None: it is read every time.
+    """Read an IFC file; `cache`: folder in which what was read is kept by the file's SHA-256, None: none.
 
     Raises:
-        BuildingError: One sentence: what is wrong with the file, or which bound its reading went over.
+        BuildingError: What is wrong with the file, or which bound its reading went over.
         ConfigurationError: If ifcopenshell is not installed, or the cache cannot be written.
     """
     path = Path(path)
@@ -91,35 +81,28 @@ def read_building(path: str | Path, cache: str | Path | None = None, bounds: Bou
     digest = hashlib.sha256(contents).hexdigest()
     # it can be large
     del contents
-    if cache is None:
-        with tempfile.TemporaryDirectory() as folder:
-            return _read(path, digest, Path(folder) / "model.npz", bounds)
-    kept = Path(cache) / f"{digest}-{VERSION}.npz"
-    if kept.exists():
+    kept = None if cache is None else Path(cache) / f"{digest}-{VERSION}.json"
+    if kept is not None and kept.exists():
         try:
             return load(kept, path.name, digest)
         except (BuildingError, OSError):
             # damaged: made anew below, over it
             pass
-    try:
-        kept.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=kept.parent) as folder:
-            written = Path(folder) / "model.npz"
-            model = _read(path, digest, written, bounds)
-            os.replace(written, kept)
-    except OSError as error:
-        raise ConfigurationError(str(kept.parent), error.strerror or str(error), "a folder for the cache") from error
-    return model
-
-
-def _read(path: Path, digest: str, output: Path, bounds: Bounds) -> BuildingModel:
     if importlib.util.find_spec("ifcopenshell") is None:
         raise ConfigurationError("ifcopenshell", None, "that it is installed; run setup/setup.sh work")
-    _run(path, digest, output, bounds)
     try:
-        return load(output, path.name, digest)
+        if kept is not None:
+            kept.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=kept and kept.parent) as folder:
+            written = Path(folder) / "model.json"
+            _run(path, digest, written, bounds)
+            model = load(written, path.name, digest)
+            if kept is not None:
+                os.replace(written, kept)
     except OSError as error:
-        raise BuildingError(path.name, "what the reading process wrote", str(error), "a whole model") from error
+        where = str(kept.parent if kept is not None else tempfile.gettempdir())
+        raise ConfigurationError(where, error.strerror or str(error), "a folder for the cache") from error
+    return model
 
 
 def _run(path: Path, digest: str, output: Path, bounds: Bounds) -> None:
@@ -141,22 +124,16 @@ def _run(path: Path, digest: str, output: Path, bounds: Bounds) -> None:
         ).returncode
     except subprocess.TimeoutExpired:
         pass  # no code
-    error = _error(Path(f"{output}.error"))
-    if error is not None:
-        raise BuildingError(path.name, *error)
+    try:
+        with Path(f"{output}.error").open("rb") as file:
+            what, found, expected = (str(value)[:500] for value in json.loads(file.read(_LONGEST)))
+    except (OSError, ValueError, TypeError, RecursionError):
+        pass  # it says nothing that can be read
+    else:
+        raise BuildingError(path.name, what, found, expected)
     if code != 0 or not output.exists():
         what, expected = "the process that read the file", "a file that can be read within its bounds"
         raise BuildingError(path.name, what, _how_it_ended(code, bounds), expected)
-
-
-def _error(path: Path) -> tuple[str, str, str] | None:
-    """Return what the reading process says is wrong: what, found, expected; None: nothing that can be read."""
-    try:
-        with path.open("rb") as file:
-            what, found, expected = (str(value)[:500] for value in json.loads(file.read(_LONGEST)))
-        return what, found, expected
-    except (OSError, ValueError, TypeError, RecursionError):
-        return None
 
 
 def _how_it_ended(code: int | None, bounds: Bounds) -> str:
@@ -174,7 +151,9 @@ def _how_it_ended(code: int | None, bounds: Bounds) -> str:
 
 def check_form(contents: bytes, name: str) -> None:
     """Check that contents are a STEP file from its beginning to its end."""
-    begun = _from_start(contents)
+    begun = contents.removeprefix(_MARK).lstrip()
+    while begun.startswith(b"/*"):
+        begun = begun.partition(b"*/")[2].lstrip()
     if not begun.startswith(_MAGIC):
         found = f"{contents[:20]!r} at its beginning" if contents else "nothing in it"
         raise BuildingError(name, "the file", found, f"an IFC file, which begins with {_MAGIC.decode()}")
@@ -183,41 +162,26 @@ def check_form(contents: bytes, name: str) -> None:
         raise BuildingError(name, "the file", found, "a whole IFC file")
 
 
-def _from_start(contents: bytes) -> bytes:
-    """Return contents without what may stand before the first line: a byte order mark, comments."""
-    begun = contents.removeprefix(_MARK).lstrip()
-    while begun.startswith(b"/*"):
-        begun = begun.partition(b"*/")[2].lstrip()
-    return begun
-
-
 # -- a model as a file
 
 
 def save(model: BuildingModel, path: Path) -> None:
     """Write a model."""
-    arrays: dict[str, list[np.ndarray]] = {"numbers": [np.empty(0)], "indices": [np.empty(0, np.int32)]}
-    places = dict.fromkeys(arrays, 0)
 
     def described(value: Any) -> Any:
         if isinstance(value, np.ndarray):
-            name = "indices" if value.dtype.kind == "i" else "numbers"
-            arrays[name].append(value.ravel())
-            places[name] += value.size
-            return {model.digest: [name, places[name] - value.size, *value.shape]}
+            kind = "i" if value.dtype.kind == "i" else "f"
+            numbers = base64.b64encode(value.astype(_KINDS[kind]).tobytes()).decode()
+            return {model.digest: [kind, numbers, *value.shape]}
         if dataclasses.is_dataclass(value):
             return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
         return dict(value)
 
-    text = json.dumps({"version": VERSION, "model": model}, default=described, allow_nan=False).encode()
-    size = len(text) + 8 * places["numbers"] + 4 * places["indices"]
-    if size > MOST_BYTES // 2:
-        raise BuildingError(
-            model.file, "the model", f"{size / 2**20:.0f} MiB as arrays", f"at most {MOST_BYTES >> 21} MiB"
-        )
-    joined = {name: np.concatenate(parts).astype(_KINDS[name]) for name, parts in arrays.items()}
-    with path.open("wb") as file:
-        np.savez(file, text=np.frombuffer(text, np.uint8), **joined)  # type: ignore[arg-type]
+    text = json.dumps({"version": VERSION, "model": model}, default=described, allow_nan=False)
+    if len(text) > MOST_BYTES:
+        found, most = f"{len(text) >> 20} MiB of text", f"at most {MOST_BYTES >> 20} MiB"
+        raise BuildingError(model.file, "the model", found, most)
+    path.write_text(text, encoding="ascii")
 
 
 def load(path: Path, file: str, digest: str) -> BuildingModel:
@@ -227,80 +191,43 @@ def load(path: Path, file: str, digest: str) -> BuildingModel:
         BuildingError: If it is not what `save` writes.
         OSError: If it cannot be read.
     """
-    try:
-        return _load(path, file, digest)
-    except _UNREADABLE as error:
-        said = " ".join(str(error).split())
-        said = said if isinstance(error, _NotWhole) else f"{type(error).__name__}: {said}"
-        raise BuildingError(file, "what the reading process wrote", said[:_LONGEST_TEXT], "a whole model") from error
-
-
-class _NotWhole(ValueError):
-    """What the reading process wrote is no whole model; says why."""
-
-
-#: What NumPy, zipfile, json and pydantic raise for a damaged file.
-_UNREADABLE = (zipfile.BadZipFile, ValueError, TypeError, LookupError, EOFError, NotImplementedError, RecursionError)
-
-
-def _load(path: Path, file: str, digest: str) -> BuildingModel:
-    with zipfile.ZipFile(path) as archive:
-        if sum(member.file_size for member in archive.infolist()) > MOST_BYTES:
-            raise _NotWhole(f"more than {MOST_BYTES >> 20} MiB")
-    with np.load(path, allow_pickle=False) as stored:
-        arrays = {name: stored[name] for name in _KINDS}
-    for name, kind in _KINDS.items():
-        if arrays[name].dtype != kind or arrays[name].ndim != 1:
-            raise _NotWhole(f"array {name!r} of {arrays[name].dtype} and shape {arrays[name].shape}")
-    if not np.isfinite(arrays["numbers"]).all():
-        raise _NotWhole("values that are no finite numbers")
 
     def undescribed(item: dict[str, Any]) -> Any:
         if item.keys() != {digest}:
             return item
-        name, start, *shape = item[digest]
-        stop = start + math.prod(shape)
-        if not 0 <= start <= stop <= len(arrays[name]):
-            raise _NotWhole(f"array {name!r} shorter than its elements")
-        return arrays[name][start:stop].reshape(shape)
+        kind, numbers, *shape = item[digest]
+        array = np.frombuffer(base64.b64decode(numbers), _KINDS[kind]).reshape(shape)
+        if not np.isfinite(array).all():
+            raise ValueError("values that are no finite numbers")
+        return array
 
-    document = json.loads(arrays["text"].tobytes(), object_hook=undescribed)
-    if document["version"] != VERSION or document["model"]["digest"] != digest:
-        raise _NotWhole("another version, or of another file")
-    (model,) = _MODEL.validate_python(({**document["model"], "file": file},))
-    for element in model.elements.values():
-        _check(element)
+    contents = read_file(path, MOST_BYTES)
+    try:
+        document = json.loads(contents, object_hook=undescribed)
+        if document["version"] != VERSION or document["model"]["digest"] != digest:
+            raise ValueError("another version, or of another file")
+        (model,) = _MODEL.validate_python(({**document["model"], "file": file},))
+        for body in (body for element in model.elements.values() for body in element.bodies):
+            for array, kind in ((body.vertices, "f"), (body.triangles, "i")):
+                if array.dtype.kind != kind or array.ndim != 2 or array.shape[1] != 3:
+                    raise ValueError(f"an array of {array.dtype} and shape {array.shape} in a body")
+            if body.triangles.size and not 0 <= body.triangles.min() <= body.triangles.max() < len(body.vertices):
+                raise ValueError("triangles with corners that are not there")
+        named = {task.parent for task in model.tasks.values()} | {""}
+        named |= {one for each in model.sequences for one in (each.before, each.after)}
+        if not named <= {"", *model.tasks}:
+            raise ValueError("an order or a nesting of what is no task")
+    except (ValueError, TypeError, LookupError, RecursionError) as error:
+        said = " ".join(f"{type(error).__name__}: {error}".split())[:_LONGEST_TEXT]
+        raise BuildingError(file, "what the reading process wrote", said, "a whole model") from error
     return model
-
-
-def _check(element: Element) -> None:
-    """Check the shapes of an element's arrays, and that its triangles have the corners that they name."""
-    pose = element.model_T_element
-    wanted: list[tuple[np.ndarray, tuple[int, ...]]] = [(pose.position, (3,)), (pose.rotation, (3, 3))]
-    for body in element.bodies:
-        wanted += [(body.vertices, (-1, 3)), (body.triangles, (-1, 3))]
-    for array, shape in wanted:
-        if array.ndim != len(shape) or any(size not in (-1, have) for size, have in zip(shape, array.shape)):
-            raise _NotWhole(f"an array of shape {array.shape} instead of {shape} in element {element.id!r}")
-    for body in element.bodies:
-        if body.triangles.dtype.kind != "i" or body.vertices.dtype.kind != "f":
-            raise _NotWhole("triangles that are no indices, or corners that are no numbers")
-        if body.triangles.size and not 0 <= body.triangles.min() <= body.triangles.max() < len(body.vertices):
-            raise _NotWhole("triangles with corners that are not there")
 
 
 # -- the process that reads
 
 
 def main(arguments: list[str]) -> int:
-    """Read a file and write what is in it.
-
-    Args:
-        arguments: File, its SHA-256, output, and the bounds: its largest size [bytes], memory [bytes], processor time [s].
-
-    Returns:
-        The exit code.
-    """
+    """Read a file and write its model; `arguments`: see above. Return the exit code."""
     path, digest, output = arguments[:3]
     most_bytes, memory, cpu = map(int, arguments[3:])
     resource.setrlimit(resource.RLIMIT_AS, (memory, memory))

@@ -11,7 +11,8 @@ import ifcopenshell
 from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.notes import Where, label
 
-_Entities = dict[int, list[ifcopenshell.entity_instance]]
+_Entity = ifcopenshell.entity_instance
+_Entities = dict[int, list[_Entity]]
 #: Relations of what is in or on elements: attributes of the elements, and of what is in or on them.
 _ON = {
     "IfcRelFillsElement": (("RelatingOpeningElement",), "RelatedBuildingElement"),
@@ -23,21 +24,16 @@ _ON = {
 
 @dataclass(frozen=True)
 class Relations:
-    """Parents by the id of the part.
+    """By id: the whole of a part, openings of an element, what something is on, and what a group or part of the site holds."""
 
-    Attributes:
-        on: What something fills, covers, projects from or fastens.
-        members: What a group or a part of the site holds, by its own id.
-    """
-
-    whole: dict[int, ifcopenshell.entity_instance]
+    whole: dict[int, _Entity]
     openings: _Entities
     on: _Entities
     members: _Entities
 
-    def within(self, group: ifcopenshell.entity_instance) -> list[ifcopenshell.entity_instance]:
+    def within(self, group: _Entity) -> list[_Entity]:
         """Return what a group or a part of the site holds, what holds things itself replaced by these."""
-        found: dict[int, ifcopenshell.entity_instance] = {}
+        found: dict[int, _Entity] = {}
         left, seen = [group], set()
         while left:
             at = left.pop(0)
@@ -50,9 +46,9 @@ class Relations:
                 found[at.id()] = at
         return [found[number] for number in sorted(found)]
 
-    def wholes(self, entity: ifcopenshell.entity_instance) -> list[ifcopenshell.entity_instance]:
+    def wholes(self, entity: _Entity) -> list[_Entity]:
         """Return what an entity is part of, the nearest first."""
-        found: list[ifcopenshell.entity_instance] = []
+        found: list[_Entity] = []
         whole = self.whole.get(entity.id())
         while whole is not None:
             found.append(whole)
@@ -62,7 +58,7 @@ class Relations:
 
 def read_relations(file: ifcopenshell.file, name: str) -> Relations:
     """Read them."""
-    whole: dict[int, ifcopenshell.entity_instance] = {}
+    whole: dict[int, _Entity] = {}
     members: _Entities = defaultdict(list)
     # in IFC2x3 both are subtypes of IfcRelDecomposes; nesting of tasks and resources is read with them, for its loops
     for relation in (*file.by_type("IfcRelAggregates"), *file.by_type("IfcRelNests")):
@@ -78,7 +74,7 @@ def read_relations(file: ifcopenshell.file, name: str) -> Relations:
     for relation in file.by_type("IfcRelAssignsToGroup"):
         with Where(name, relation):
             members[relation.RelatingGroup.id()] += relation.RelatedObjects
-    voided: dict[int, ifcopenshell.entity_instance] = {}
+    voided: dict[int, _Entity] = {}
     openings: _Entities = defaultdict(list)
     for relation in file.by_type("IfcRelVoidsElement"):
         with Where(name, relation):
@@ -88,7 +84,7 @@ def read_relations(file: ifcopenshell.file, name: str) -> Relations:
     return Relations(whole, dict(openings), _on(file, name, voided), dict(members))
 
 
-def _on(file: ifcopenshell.file, name: str, voided: dict[int, ifcopenshell.entity_instance]) -> _Entities:
+def _on(file: ifcopenshell.file, name: str, voided: dict[int, _Entity]) -> _Entities:
     found: _Entities = defaultdict(list)
     for kind, (hosts, guests) in _ON.items():
         for relation in file.by_type(kind):
@@ -102,7 +98,7 @@ def _on(file: ifcopenshell.file, name: str, voided: dict[int, ifcopenshell.entit
     return dict(found)
 
 
-def _refuse_loops(file: ifcopenshell.file, name: str, whole: dict[int, ifcopenshell.entity_instance]) -> None:
+def _refuse_loops(file: ifcopenshell.file, name: str, whole: dict[int, _Entity]) -> None:
     try:
         TopologicalSorter({part: (parent.id(),) for part, parent in whole.items()}).prepare()
     except CycleError as error:

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterator
 from datetime import datetime, timedelta
 from functools import partial
 
@@ -23,9 +22,10 @@ from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.notes import Notes, Where, label
 from construction_twin.extensions.work.ifc.properties import Units, read_properties
 from construction_twin.extensions.work.ifc.relations import Relations
-from construction_twin.extensions.work.recipe import PROPERTY_SET, RECIPE
+from construction_twin.extensions.work.process import PROPERTY_SET, RECIPE
 from construction_twin.kinematics.chain import Pose
 
+_Entity = ifcopenshell.entity_instance
 _NO_TIME = "The project has no unit of time: a lag or duration that is a number is taken as seconds"
 #: Adds a note on one task or order.
 _Note = Callable[[str], None]
@@ -52,20 +52,6 @@ _NOT_BEGUN_WORDS = ("", "NOTSTARTED", "NOTYETSTARTED", "PLANNED", "SCHEDULED", "
 _ROUNDING = 1e-6
 
 
-@dataclass
-class _Assigned:
-    """What relations assign to tasks, by the task's id."""
-
-    products: dict[int, list[ifcopenshell.entity_instance]] = field(default_factory=lambda: defaultdict(list))
-    inputs: dict[int, list[ifcopenshell.entity_instance]] = field(default_factory=lambda: defaultdict(list))
-    workers: dict[int, list[str]] = field(default_factory=lambda: defaultdict(list))
-    parents: dict[int, ifcopenshell.entity_instance] = field(default_factory=dict)
-    schedules: dict[int, ifcopenshell.entity_instance] = field(default_factory=dict)
-    times: dict[int, ifcopenshell.entity_instance] = field(default_factory=dict)
-    #: Some `Completion` is above 1: nobody knows what the others are parts of.
-    beyond: bool = False
-
-
 class Groups:
     """What tasks are assigned to: elements, and groups and parts of the site, which become records of their own.
 
@@ -73,13 +59,13 @@ class Groups:
     """
 
     def __init__(self, relations: Relations, ids: dict[int, str], notes: Notes):
-        self._relations, self._ids, self._notes = relations, dict(ids), notes
+        self.relations, self._ids, self._notes = relations, dict(ids), notes
         self.elements: dict[str, Element] = {}
 
-    def named(self, entity: ifcopenshell.entity_instance) -> str:
+    def named(self, entity: _Entity) -> str:
         """Return the id of an element, or of what holds elements; empty: it is neither."""
         if entity.id() not in self._ids:
-            within = self._relations.within(entity)
+            within = self.relations.within(entity)
             members = tuple(self._ids[each.id()] for each in within if each.id() in self._ids)
             if not members:
                 return ""
@@ -96,34 +82,31 @@ def read_tasks(
     file: ifcopenshell.file, name: str, groups: Groups, given: Collection[str], units: Units, notes: Notes
 ) -> tuple[dict[str, Task], tuple[Sequence, ...]]:
     """Read tasks and sequences; `given`: ids of elements that a task builds where it has them as inputs only."""
+    reading = _Reading(groups, given, units, notes)
     every = sorted(file.by_type("IfcTask"), key=lambda task: task.id())
     with Where(name, "the schedule"):
-        assigned = _assigned(file, name)
-        assigned.beyond = any(_completion(_time_of(task, assigned)) > 1.0 + _ROUNDING for task in every)
-    if assigned.beyond:
-        notes.add(
-            "A part that is done (`Completion`) is above 1, perhaps percent: by their parts no tasks are completed"
-        )
-    entities = _scheduled(every, assigned, notes)
-    task_ids: dict[int, str] = {}
+        reading.beyond = any(_completion(_time_of(task)) > 1.0 + _ROUNDING for task in every)
+        if reading.beyond:
+            said = "A part that is done (`Completion`) is above 1, perhaps percent"
+            notes.add(f"{said}: by their parts no tasks are completed")
+        entities = reading.scheduled(every)
     for entity in entities:
         with Where(name, entity):
-            task_ids[entity.id()] = unique_id(entity, task_ids.values(), notes)
-    tasks = {}
+            reading.ids[entity.id()] = unique_id(entity, reading.ids.values(), notes)
     for entity in entities:
         with Where(name, entity):
-            tasks[task_ids[entity.id()]] = _task(entity, task_ids, assigned, groups, set(given), units, notes)
+            task = reading.task(entity)
+            reading.tasks[task.id] = task
     sequences = []
-    for relation in file.by_type("IfcRelSequence") if tasks else ():
+    for relation in file.by_type("IfcRelSequence") if entities else ():
         with Where(name, relation):
-            ends = [_end(each, assigned, task_ids, tasks, notes) for each in _ends(relation)]
-            sequence = _sequence(relation, ends, units.given.get("TIMEUNIT"), tasks, notes)
+            sequence = reading.sequence(relation)
         if sequence is not None:
             sequences.append(sequence)
-    return tasks, tuple(sequences)
+    return reading.tasks, tuple(sequences)
 
 
-def unique_id(entity: ifcopenshell.entity_instance, taken: Collection[str], notes: Notes) -> str:
+def unique_id(entity: _Entity, taken: Collection[str], notes: Notes) -> str:
     """Return an entity's GlobalId; where it has none, or one that is taken, its number in the file: ``#123``."""
     given = entity.GlobalId
     allowed = (
@@ -137,161 +120,268 @@ def unique_id(entity: ifcopenshell.entity_instance, taken: Collection[str], note
     return f"#{entity.id()}"
 
 
-def _assigned(file: ifcopenshell.file, name: str) -> _Assigned:
-    found = _Assigned()
+class _Reading:
+    """The tasks of a file.
 
-    def pairs(attribute: str, *kinds: str) -> Iterator[tuple[ifcopenshell.entity_instance, ...]]:
-        """Yield what relations of some kinds have in an attribute, each that they relate with it, and the relation."""
-        for relation in (each for kind in kinds for each in file.by_type(kind)):
-            with Where(name, relation):
-                found = [(getattr(relation, attribute), each, relation) for each in relation.RelatedObjects]
-            yield from found
+    Attributes:
+        ids: Of tasks, by their numbers.
+        beyond: Some `Completion` is above 1: nobody knows what the others are parts of.
+    """
 
-    # IFC wants nesting; some authors aggregate
-    for whole, part, _ in pairs("RelatingObject", "IfcRelNests", "IfcRelAggregates"):
-        if whole.is_a("IfcTask"):
-            found.parents.setdefault(part.id(), whole)
-    for product, task, _ in pairs("RelatingProduct", "IfcRelAssignsToProduct"):
-        if task.is_a("IfcTask"):
-            found.products[task.id()].append(product)
-    for task, each, _ in pairs("RelatingProcess", "IfcRelAssignsToProcess"):
-        if each.is_a("IfcResource"):
-            _work(found, task, each)
+    def __init__(self, groups: Groups, given: Collection[str], units: Units, notes: Notes):
+        self._groups, self._given, self._notes = groups, given, notes
+        self._time_unit = units.given.get("TIMEUNIT")
+        self._units, self._whole = units, groups.relations.whole
+        self.ids: dict[int, str] = {}
+        self.tasks: dict[str, Task] = {}
+        self.beyond = False
+
+    def scheduled(self, entities: list[_Entity]) -> list[_Entity]:
+        """Return tasks of what is to be done: a baseline, or a record of what was done, beside it would make everything twice."""
+        by_schedule: dict[int, list[_Entity]] = defaultdict(list)
+        # name and kind of each schedule by its id, 0 for tasks that are in none
+        schedules = {0: ("(tasks without a schedule)", "")}
+        for entity in entities:
+            *_, top = self._above(entity)
+            controls = [each.RelatingControl for each in _assignments(top, "IfcRelAssignsToControl")]
+            schedule = next((control for control in controls if control.is_a("IfcWorkControl")), None)
+            if schedule is not None:
+                # the second is IFC2x3's
+                kinds = (getattr(schedule, name, None) for name in ("PredefinedType", "WorkControlType"))
+                schedules[schedule.id()] = (schedule.Name or "", next(filter(None, kinds), ""))
+            by_schedule[0 if schedule is None else schedule.id()].append(entity)
+        kept = [key for key in by_schedule if schedules[key][1] not in _OTHER_SCHEDULES] or list(by_schedule)
+        for key in by_schedule.keys() - set(kept):
+            name, kind = schedules[key]
+            said = f"Schedules of the kind {kind}, left out with their tasks and orders because there is another"
+            self._notes.add(said, name)
+        if len(kept) > 1:
+            names = ", ".join(schedules[key][0] for key in kept)
+            self._notes.add(f"{len(kept)} schedules, whose tasks are all read: {names}")
+        return sorted((entity for key in kept for entity in by_schedule[key]), key=lambda entity: entity.id())
+
+    def task(self, entity: _Entity) -> Task:
+        """Return one."""
+        task_id, groups, time = self.ids[entity.id()], self._groups, _time_of(entity)
+        note = partial(self._notes.add, about=entity.Name or task_id, at=task_id)
+        operates = [each for relation in entity.OperatesOn for each in relation.RelatedObjects]
+        products = self._elements(
+            [each.RelatingProduct for each in _assignments(entity, "IfcRelAssignsToProduct")], note
+        )
+        inputs = self._elements([each for each in operates if not each.is_a("IfcResource")], note)
+        workers = [each for each in operates if each.is_a("IfcResource")]
+        workers += [each.RelatingResource for each in _assignments(entity, "IfcRelAssignsToResource")]
+        robots = (each.Name or each.GlobalId for each in workers if any(map(each.is_a, _WORKERS)))
+        cancelled = any(_status_word(each) in _CANCELLED_WORDS for each in self._above(entity))
+        properties = read_properties(entity, task_id, self._units, self._notes).get(PROPERTY_SET, {})
+        by_recipe = properties.get(RECIPE) is not None
+        kind = "other" if cancelled else self._kind(entity, by_recipe, note)
+        if cancelled:
+            note("Tasks that the file says are cancelled: not done, nothing waits for them but what comes before")
+        if kind == "makes" and not products:
+            products = [each for each in inputs if by_recipe or each in self._given or each in groups.elements]
+            inputs = [each for each in inputs if each not in products]
+            if products and not by_recipe:
+                said = "Tasks whose workpieces are assigned as inputs only (IfcRelAssignsToProcess)"
+                note(f"{said}; taken as what they make")
+        parent = self._whole.get(entity.id())
+        start, duration = self._times(time, note)
+        return Task(
+            id=task_id,
+            name=entity.Name or "",
+            parent="" if parent is None else self.ids.get(parent.id(), ""),
+            products=tuple(products),
+            inputs=tuple(inputs),
+            robots=tuple(dict.fromkeys(robots)),
+            milestone=bool(entity.IsMilestone),
+            start=start,
+            duration=duration,
+            kind=kind,
+            completed=not cancelled and self._completed(entity, note),
+            properties=properties,
+        )
+
+    def _above(self, entity: _Entity) -> Iterator[_Entity]:
+        """Yield a task and those that it nests in, from inside."""
+        at: _Entity | None = entity
+        while at is not None and at.is_a("IfcTask"):
+            yield at
+            at = self._whole.get(at.id())
+
+    def _elements(self, entities: list[_Entity], note: _Note) -> list[str]:
+        found: dict[str, None] = {}
+        for entity in entities:
+            if own := self._groups.named(entity):
+                found[own] = None
+            else:
+                note(f"Assigned to a task but no element ({entity.is_a()}); left out")
+        return list(found)
+
+    def _kind(self, entity: _Entity, by_recipe: bool, note: _Note) -> str:
+        """Return ``makes``, ``takes_down`` or ``other``: of the task, else of its type, else of what it nests in.
+
+        A task that names its recipe (`by_recipe`) is the arm's, whatever else its kind says than that it takes down.
+        """
+        said = next(filter(None, map(_said_kind, self._above(entity))), "")
+        shown = said if said and said == _said_kind(entity) else f"{said} (said of what they nest in)"
+        if said in _TAKES_DOWN:
+            note(f"Tasks of the kind {shown}: the arm takes nothing down, a person says when it is gone")
+            return "takes_down"
+        if by_recipe:
+            return "makes"
+        if said and said not in _MAKES:
+            note(f"Tasks of the kind {shown}, which places nothing; kept for the order")
+            return "other"
+        own = _own_word(entity)
+        if own and own.upper() not in _MAKES:
+            note(f"Tasks of a kind of their own ({own!r}), taken as placing")
+        return "makes"
+
+    def _says_completed(self, entity: _Entity) -> bool:
+        """Return whether a task says of itself that it is done: by its status, or by its times."""
+        time = _time_of(entity)
+        whole = not self.beyond and math.isclose(_completion(time), 1.0, abs_tol=_ROUNDING)
+        return _status_word(entity) in _DONE_WORDS or whole or getattr(time, "ActualFinish", None) is not None
+
+    def _completed(self, entity: _Entity, note: _Note) -> bool:
+        """Return whether the file says that a task, or what it nests in, is done; one that is under way is noted."""
+        time, status = _time_of(entity), _status_word(entity)
+        done = next(filter(self._says_completed, self._above(entity)), None)
+        if done is not None and done.id() == entity.id():
+            note("Tasks that the file says are completed: not done again, what they made stands")
+        elif done is not None:
+            because = f"what they nest in ({done.Name or done.GlobalId}) is"
+            note(f"Tasks taken as completed because {because}: what they make counts as standing")
+        elif status not in _NOT_BEGUN_WORDS or getattr(time, "ActualStart", None) is not None or _completion(time) > 0:
+            said = f"status {entity.Status!r}" if status else "a start or a part that is done"
+            note(f"TASKS THAT MAY HAVE BEGUN ({said}), taken as still to be done; if what they make stands, skip them")
+        return done is not None
+
+    def _times(self, time: _Entity | None, note: _Note) -> tuple[str, float | None]:
+        if time is None:
+            return "", None
+        start = next(filter(None, (_moment(getattr(time, f"{said}Start"), note) for said in _DATES)), "")
+        if start and time.ScheduleStart is None:
+            note("No scheduled start: the early one is taken, or else the late one")
+        given = time.ScheduleDuration
+        return start, None if given is None else self._seconds(given, note)
+
+    def _seconds(self, value: str | float, note: _Note) -> float | None:
+        """Return a duration [s]; one that cannot be read is noted."""
+        if not isinstance(value, str):
+            if value and self._time_unit is None:
+                note(_NO_TIME)
+            return value * (self._time_unit or 1.0)
+        try:
+            parsed = isodate.parse_duration(value)
+        except (ValueError, TypeError, OverflowError, ArithmeticError):
+            note(f"{value[:40]!r} is no duration of ISO 8601, and is left out")
+            return None
+        if isinstance(parsed, timedelta):
+            return parsed.total_seconds()
+        note(f"A duration in years or months ({value[:40]!r}) has no length in seconds, and is left out")
+        return None
+
+    # -- orders
+
+    def sequence(self, relation: _Entity) -> Sequence | None:
+        """Return one; None: it is of no tasks that are read, or within one."""
+        processes = (relation.RelatingProcess, relation.RelatedProcess)
+        before, after = map(self._end, processes)
+        # what is in one task needs no order
+        if not before or not after or (before == after and not all(each.is_a("IfcTask") for each in processes)):
+            return None
+        if not processes[0].is_a("IfcTask"):
+            said = f"Comes after what the arm does not see happen ({processes[0].is_a()})"
+            self._notes.add(f"{said}: only what is before that is waited for", processes[0].Name or before, after)
+
+        def note(sentence: str) -> None:
+            """Add a note on the relation, and a remark at each of the tasks that it is between."""
+            self._notes.add(sentence, label(relation))
+            self._notes.remark(sentence, before)
+            self._notes.remark(sentence, after)
+
+        kind = relation.SequenceType
+        if kind not in _KINDS:
+            note("Orders without one of the four kinds, taken as finish to start")
+            kind = _KINDS[0]
+        return Sequence(before, after, kind, self._lag(relation.TimeLag, self.tasks[before].duration, note))
+
+    def _end(self, process: _Entity) -> str:
+        """Return the id of the task that an order names; empty: it is left out with its schedule.
+
+        An event or a procedure passes the order on, as a milestone does; in a task that nests no others it stands for that.
+        """
+        if process.is_a("IfcTask") or process.id() in self.ids:
+            return self.ids.get(process.id(), "")
+        parent = self._whole.get(process.id())
+        above = "" if parent is None else self.ids.get(parent.id(), "")
+        if above and not any(task.parent == above for task in self.tasks.values()):
+            return above
+        own = self.ids[process.id()] = unique_id(process, self.ids.values(), self._notes)
+        self.tasks[own] = Task(own, process.Name or "", parent=above, milestone=True, kind="other")
+        return own
+
+    def _lag(self, lag: _Entity | float | None, before: float | None, note: _Note) -> float:
+        """Return a lag [s]; `before`: duration of the task that comes first [s]."""
+        if lag is None:
+            return 0.0
+        if isinstance(lag, (int, float)):
+            seconds = self._seconds(lag, note)
         else:
-            found.inputs[task.id()].append(each)
-    for resource, task, _ in pairs("RelatingResource", "IfcRelAssignsToResource"):
-        if task.is_a("IfcTask"):
-            _work(found, task, resource)
-    # the subtype IfcRelAssignsTasks of IFC2x3 carries the times
-    for control, task, relation in pairs("RelatingControl", "IfcRelAssignsToControl"):
-        if task.is_a("IfcTask"):
-            if control.is_a("IfcWorkControl"):
-                found.schedules.setdefault(task.id(), control)
-            if getattr(relation, "TimeForTask", None) is not None:
-                found.times[task.id()] = relation.TimeForTask
-    return found
+            value = lag.LagValue
+            if not value.is_a("IfcRatioMeasure"):
+                seconds = self._seconds(value.wrappedValue, note)
+            elif before is None:
+                note("A lag that is a part of a duration that is not known is left out")
+                return 0.0
+            else:
+                note("A lag that is a part of the duration of the task before")
+                seconds = value.wrappedValue * before
+            if lag.DurationType == "WORKTIME" and seconds:
+                note("A lag in working time is waited for around the clock (no calendar is read)")
+        return float(seconds) if seconds is not None and math.isfinite(seconds) else 0.0
 
 
-def _completion(time: ifcopenshell.entity_instance | None) -> float:
+# -- what one entity says
+
+
+def _assignments(task: _Entity, kind: str) -> list[_Entity]:
+    return [each for each in task.HasAssignments if each.is_a(kind)]
+
+
+def _time_of(task: _Entity) -> _Entity | None:
+    """Return the times of a task; those of IFC2x3 are of the relation IfcRelAssignsTasks."""
+    times = (getattr(each, "TimeForTask", None) for each in _assignments(task, "IfcRelAssignsToControl"))
+    return next(filter(None, times), None) or getattr(task, "TaskTime", None)
+
+
+def _completion(time: _Entity | None) -> float:
     """Return what part of a task the file says is done; 0 where it says nothing."""
     part = getattr(time, "Completion", None)
     return float(part) if isinstance(part, (int, float)) else 0.0
 
 
-def _work(found: _Assigned, task: ifcopenshell.entity_instance, resource: ifcopenshell.entity_instance) -> None:
-    name = resource.Name or resource.GlobalId
-    if any(resource.is_a(kind) for kind in _WORKERS) and name not in found.workers[task.id()]:
-        found.workers[task.id()].append(name)
+def _status_word(entity: _Entity) -> str:
+    """Return the status of a task in upper case, without what stands around its letters; digits, % and ? stay: they are doubts."""
+    return "".join(each for each in (entity.Status or "").upper() if each.isalnum() or each in "?%")
 
 
-def _scheduled(
-    entities: Iterable[ifcopenshell.entity_instance], assigned: _Assigned, notes: Notes
-) -> list[ifcopenshell.entity_instance]:
-    """Tasks of what is to be done: a baseline, or a record of what was done, beside it would make everything twice."""
-    by_schedule: dict[int, list[ifcopenshell.entity_instance]] = defaultdict(list)
-    # name and kind of each schedule by its id, 0 for tasks that are in none
-    schedules: dict[int, tuple[str, str]] = {}
-    for entity in entities:
-        top = entity
-        while (parent := assigned.parents.get(top.id())) is not None and parent.is_a("IfcTask"):
-            top = parent
-        schedule = assigned.schedules.get(top.id())
-        if schedule is None:
-            key, schedules[0] = 0, ("(tasks without a schedule)", "")
-        else:
-            key = schedule.id()
-            schedules[key] = (schedule.Name or "", _schedule_kind(schedule))
-        by_schedule[key].append(entity)
-    kept = [key for key, (_, kind) in schedules.items() if kind not in _OTHER_SCHEDULES] or list(schedules)
-    for key in schedules.keys() - set(kept):
-        name, kind = schedules[key]
-        notes.add(f"Schedules of the kind {kind}, left out with their tasks and orders because there is another", name)
-    if len(kept) > 1:
-        names = ", ".join(schedules[key][0] for key in kept)
-        notes.add(f"{len(kept)} schedules, whose tasks are all read: {names}")
-    wanted = {entity.id() for key in kept for entity in by_schedule[key]}
-    return [entity for entity in entities if entity.id() in wanted]
-
-
-def _schedule_kind(schedule: ifcopenshell.entity_instance | None) -> str:
-    # the second is IFC2x3's
-    return getattr(schedule, "PredefinedType", None) or getattr(schedule, "WorkControlType", None) or ""
-
-
-def _task(
-    entity: ifcopenshell.entity_instance, task_ids: dict[int, str], assigned: _Assigned, groups: Groups, given: set[str],
-    units: Units, notes: Notes,
-) -> Task:  # fmt: skip
-    task_id = task_ids[entity.id()]
-    note = partial(notes.add, about=entity.Name or task_id, at=task_id)
-    products = _elements(assigned.products[entity.id()], groups, note)
-    inputs = _elements(assigned.inputs[entity.id()], groups, note)
-    cancelled = any(_status_word(each) in _CANCELLED_WORDS for each in _above(entity, assigned))
-    properties = read_properties(entity, task_id, units, notes).get(PROPERTY_SET, {})
-    by_recipe = properties.get(RECIPE) is not None
-    kind = "other" if cancelled else _kind(entity, assigned, by_recipe, note)
-    if cancelled:
-        note("Tasks that the file says are cancelled: not done, nothing waits for them but what comes before")
-    if kind == "makes" and not products:
-        made = inputs if by_recipe else [each for each in inputs if each in given or each in groups.elements]
-        if made and not by_recipe:
-            note("Tasks whose workpieces are assigned as inputs only (IfcRelAssignsToProcess); taken as what they make")
-        products, inputs = made, [each for each in inputs if each not in made]
-    parent = assigned.parents.get(entity.id())
-    start, duration = _times(_time_of(entity, assigned), units.given.get("TIMEUNIT"), note)
-    return Task(
-        id=task_id,
-        name=entity.Name or "",
-        parent="" if parent is None else task_ids.get(parent.id(), ""),
-        products=tuple(products),
-        inputs=tuple(inputs),
-        robots=tuple(assigned.workers[entity.id()]),
-        milestone=bool(entity.IsMilestone),
-        start=start,
-        duration=duration,
-        kind=kind,
-        completed=not cancelled and _completed(entity, assigned, note),
-        properties=properties,
-    )
-
-
-def _kind(entity: ifcopenshell.entity_instance, assigned: _Assigned, by_recipe: bool, note: _Note) -> str:
-    """Return ``makes``, ``takes_down`` or ``other``: of the task, else of its type, else of what it nests in.
-
-    A task that names its recipe (`by_recipe`) is the arm's, whatever else its kind says than that it takes down.
-    """
-    said = next(filter(None, map(_said_kind, _above(entity, assigned))), "")
-    shown = said if said and said == _said_kind(entity) else f"{said} (said of what they nest in)"
-    if said in _TAKES_DOWN:
-        note(f"Tasks of the kind {shown}: the arm takes nothing down, a person says when it is gone")
-        return "takes_down"
-    if by_recipe:
-        return "makes"
-    if said and said not in _MAKES:
-        note(f"Tasks of the kind {shown}, which places nothing; kept for the order")
-        return "other"
-    own = _own_word(entity)
-    if own and own.upper() not in _MAKES:
-        note(f"Tasks of a kind of their own ({own!r}), taken as placing")
-    return "makes"
-
-
-def _said_kind(entity: ifcopenshell.entity_instance) -> str:
+def _said_kind(entity: _Entity) -> str:
     """Return the kind that a task or its type says, by the schema or in a word of it; empty: it says none."""
     given = _given_kind(entity)
     own = _own_word(entity).upper()
     return str(given) if given not in _OPEN else own if own in (*_MAKES, *_TAKES_DOWN, *_OTHER_KINDS) else ""
 
 
-def _given_kind(entity: ifcopenshell.entity_instance) -> str | None:
+def _given_kind(entity: _Entity) -> str | None:
     given = getattr(entity, "PredefinedType", None)
     if given not in (None, "NOTDEFINED"):
         return str(given)
-    kind = ifcopenshell.util.element.get_type(entity)
-    return getattr(kind, "PredefinedType", None) or given
+    return getattr(ifcopenshell.util.element.get_type(entity), "PredefinedType", None) or given
 
 
-def _own_word(entity: ifcopenshell.entity_instance) -> str:
+def _own_word(entity: _Entity) -> str:
     """Return the author's own word for the kind of a task, the only one in IFC2x3; empty: none, or the schema's counts."""
     if _given_kind(entity) not in _OPEN:
         return ""
@@ -299,73 +389,7 @@ def _own_word(entity: ifcopenshell.entity_instance) -> str:
     return str(entity.ObjectType or getattr(kind, "ProcessType", None) or "").strip()
 
 
-def _above(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> Iterator[ifcopenshell.entity_instance]:
-    """Yield a task and those that it nests in, from inside; a loop, which is refused elsewhere, once."""
-    at: ifcopenshell.entity_instance | None = entity
-    seen: set[int] = set()
-    while at is not None and at.is_a("IfcTask") and at.id() not in seen:
-        yield at
-        seen.add(at.id())
-        at = assigned.parents.get(at.id())
-
-
-def _status_word(entity: ifcopenshell.entity_instance) -> str:
-    """Return the status of a task in upper case, without what stands around its letters; digits, % and ? stay: they are doubts."""
-    return "".join(each for each in (entity.Status or "").upper() if each.isalnum() or each in "?%")
-
-
-def _time_of(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> ifcopenshell.entity_instance | None:
-    """Return the times of a task; those of IFC2x3 are a control's."""
-    return assigned.times.get(entity.id()) or getattr(entity, "TaskTime", None)
-
-
-def _says_completed(entity: ifcopenshell.entity_instance, assigned: _Assigned) -> bool:
-    """Return whether a task says of itself that it is done: by its status, or by its times."""
-    time = _time_of(entity, assigned)
-    whole = not assigned.beyond and math.isclose(_completion(time), 1.0, abs_tol=_ROUNDING)
-    return _status_word(entity) in _DONE_WORDS or whole or getattr(time, "ActualFinish", None) is not None
-
-
-def _completed(entity: ifcopenshell.entity_instance, assigned: _Assigned, note: _Note) -> bool:
-    """Return whether the file says that a task, or what it nests in, is done; one that is under way is noted."""
-    time, status = _time_of(entity, assigned), _status_word(entity)
-    done = next((each for each in _above(entity, assigned) if _says_completed(each, assigned)), None)
-    if done is not None and done is entity:
-        note("Tasks that the file says are completed: not done again, what they made stands")
-    elif done is not None:
-        because = f"what they nest in ({done.Name or done.GlobalId}) is"
-        note(f"Tasks taken as completed because {because}: what they make counts as standing")
-    elif status not in _NOT_BEGUN_WORDS or getattr(time, "ActualStart", None) is not None or _completion(time) > 0.0:
-        said = f"status {entity.Status!r}" if status else "a start or a part that is done"
-        note(f"TASKS THAT MAY HAVE BEGUN ({said}), taken as still to be done; if what they make stands, skip them")
-    return done is not None
-
-
-def _elements(entities: list[ifcopenshell.entity_instance], groups: Groups, note: _Note) -> list[str]:
-    found: dict[str, None] = {}
-    for entity in entities:
-        if own := groups.named(entity):
-            found[own] = None
-        else:
-            note(f"Assigned to a task but no element ({entity.is_a()}); left out")
-    return list(found)
-
-
-def _times(time: ifcopenshell.entity_instance | None, time_unit: float | None, note: _Note) -> tuple[str, float | None]:
-    if time is None:
-        return "", None
-    start = next(filter(None, (_moment(getattr(time, f"{said}Start"), note) for said in _DATES)), "")
-    if start and time.ScheduleStart is None:
-        note("No scheduled start: the early one is taken, or else the late one")
-    given = time.ScheduleDuration
-    if isinstance(given, str):
-        return start, _seconds(given, note)
-    if given and time_unit is None:
-        note(_NO_TIME)
-    return start, None if given is None else given * (time_unit or 1.0)
-
-
-def _moment(value: str | ifcopenshell.entity_instance | None, note: _Note) -> str:
+def _moment(value: str | _Entity | None, note: _Note) -> str:
     if value is None:
         return ""
     try:
@@ -379,104 +403,10 @@ def _moment(value: str | ifcopenshell.entity_instance | None, note: _Note) -> st
         return ""
 
 
-def _date_and_time(value: ifcopenshell.entity_instance) -> datetime:
-    """A moment of IFC2x3, which need not have minutes and seconds."""
-    date, time = value, None
+def _date_and_time(value: _Entity) -> datetime:
+    """Return a moment of IFC2x3, which need not have minutes and seconds."""
+    date, clock = value, (0, 0, 0)
     if value.is_a("IfcDateAndTime"):
         date, time = value.DateComponent, value.TimeComponent
-    clock = (
-        (0, 0, 0) if time is None else (time.HourComponent, time.MinuteComponent or 0, int(time.SecondComponent or 0))
-    )
+        clock = (time.HourComponent, time.MinuteComponent or 0, int(time.SecondComponent or 0))
     return datetime(date.YearComponent, date.MonthComponent, date.DayComponent, *clock)
-
-
-def _seconds(value: str, note: _Note) -> float | None:
-    """Return a duration [s]; one that cannot be read is noted."""
-    try:
-        parsed = isodate.parse_duration(value)
-    except (ValueError, TypeError, OverflowError, ArithmeticError):
-        note(f"{value[:40]!r} is no duration of ISO 8601, and is left out")
-        return None
-    if isinstance(parsed, timedelta):
-        return parsed.total_seconds()
-    note(f"A duration in years or months ({value[:40]!r}) has no length in seconds, and is left out")
-    return None
-
-
-def _ends(relation: ifcopenshell.entity_instance) -> tuple[ifcopenshell.entity_instance, ...]:
-    return relation.RelatingProcess, relation.RelatedProcess
-
-
-def _end(
-    process: ifcopenshell.entity_instance,
-    assigned: _Assigned,
-    task_ids: dict[int, str],
-    tasks: dict[str, Task],
-    notes: Notes,
-) -> str:
-    """Return the id of the task that an order names; empty: it is left out with its schedule.
-
-    An event or a procedure passes the order on, as a milestone does; in a task that nests no others it stands for that.
-    """
-    parent = assigned.parents.get(process.id())
-    if process.is_a("IfcTask") or process.id() in task_ids:
-        return task_ids.get(process.id(), "")
-    above = "" if parent is None else task_ids.get(parent.id(), "")
-    if above and not any(task.parent == above for task in tasks.values()):
-        return above
-    own = task_ids[process.id()] = unique_id(process, task_ids.values(), notes)
-    tasks[own] = Task(own, process.Name or "", parent=above, milestone=True, kind="other")
-    return own
-
-
-def _sequence(
-    relation: ifcopenshell.entity_instance,
-    ends: list[str],
-    time_unit: float | None,
-    tasks: dict[str, Task],
-    notes: Notes,
-) -> Sequence | None:
-    before, after = ends
-    # what is in one task needs no order
-    if not before or not after or (before == after and not all(each.is_a("IfcTask") for each in _ends(relation))):
-        return None
-    process = relation.RelatingProcess
-    if not process.is_a("IfcTask"):
-        said = (
-            f"Comes after what the arm does not see happen ({process.is_a()}): only what is before that is waited for"
-        )
-        notes.add(said, process.Name or before, after)
-
-    def note(sentence: str) -> None:
-        """Add a note on the relation, and a remark at each of the tasks that it is between."""
-        notes.add(sentence, label(relation))
-        notes.remark(sentence, before)
-        notes.remark(sentence, after)
-
-    kind = relation.SequenceType
-    if kind not in _KINDS:
-        note("Orders without one of the four kinds, taken as finish to start")
-        kind = _KINDS[0]
-    return Sequence(before, after, kind, _lag(relation.TimeLag, tasks[before], time_unit, note))
-
-
-def _lag(lag: ifcopenshell.entity_instance | float | None, before: Task, time_unit: float | None, note: _Note) -> float:
-    if lag is None:
-        return 0.0
-    if isinstance(lag, (int, float)):
-        seconds: float | None = lag * (time_unit or 1.0)
-        if lag and time_unit is None:
-            note(_NO_TIME)
-    else:
-        value = lag.LagValue
-        if not value.is_a("IfcRatioMeasure"):
-            seconds = _seconds(value.wrappedValue, note)
-        elif before.duration is None:
-            note("A lag that is a part of a duration that is not known is left out")
-            return 0.0
-        else:
-            note("A lag that is a part of the duration of the task before")
-            seconds = value.wrappedValue * before.duration
-        if lag.DurationType == "WORKTIME" and seconds:
-            note("A lag in working time is waited for around the clock (no calendar is read)")
-    return float(seconds) if seconds is not None and math.isfinite(seconds) else 0.0

@@ -1,16 +1,11 @@
-"""work: the tasks of a building model, from schedule to ledger: has them planned, and changes the scene with them.
-
-Services `work/plan`, `work/decide`, `work/measured`; latched topics `work/tasks`, `work/markers`. Listens to `execution`,
-`engagement`, `plan`, `review`, `scene`, `tool`, the poses of twin and arm, and tf. Calls `plan_work`, `plan_way_back` and
-`edit_scene`. What follows from all that, `work/session.py` says; here it is ROS's.
-"""
+"""work: has the tasks of a building model planned, follows them, and changes the scene with them; `work/session.py` in ROS."""
 
 from __future__ import annotations
 
 import functools
 import math
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -38,7 +33,6 @@ from construction_twin.extensions.work.session import Neighbours, NoAnswer, Unde
 from construction_twin.extensions.work.site import read_site
 from construction_twin.extensions.work.task_board import WorkRefused
 from construction_twin.extensions.work.task_memory import TaskState
-from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.frames import rotation_to_quaternion
@@ -91,13 +85,11 @@ NOT_MEASURED = {"deviation_mm": math.nan, "deviation_deg": math.nan}
 
 
 class Settings(PrivateSettings):
-    """Private parameters: behaviour is explained in config/work.yaml, the others are given in launch/work.launch.
+    """Private parameters, explained in config/work.yaml and launch/bringup.launch.
 
     Attributes:
-        model, cell: Absolute paths of the IFC file and of the cell file.
-        tool, scene: Absolute paths of the robot's: those that the cell file names.
-        folder: Of the ledgers.
-        private: Folder of what a console serves to whom is logged in, relative to ROS_HOME; empty: no console was started.
+        tool, scene: Of the robot; those that the cell file names.
+        private: Folder that a console serves to whom is logged in, relative to ROS_HOME; empty: no console.
         service_timeout, listen_time, retry_time: [s]
     """
 
@@ -116,11 +108,7 @@ class Settings(PrivateSettings):
 
 
 class WorkNode:
-    """A `WorkSession` in ROS.
-
-    Attributes:
-        session: None: the model is being read, or it, or the record of its work, cannot be used.
-    """
+    """A `WorkSession` in ROS; `session` is None without a usable model and ledger."""
 
     def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
         self._settings, self._robot, self._diagnostics = settings, robot, ports.diagnostics
@@ -138,17 +126,16 @@ class WorkNode:
         self._problem: str = "the model is being read"
         self._broken = False
         self._told = ""
-        self._drawn: set[str] = set()
         self._publish()
 
     def run(self) -> None:
-        """Read the model, find out what became of the work before this start, then follow what the executor does."""
+        """Load the model, then follow the executor."""
         self.open()
         while not rospy.is_shutdown():
             self.go_on()
 
     def go_on(self) -> None:
-        """Wait for the next piece of news, at most `retry_time`, and do what follows; to be called in one thread only."""
+        """Wait for news, at most `retry_time`, and act on it. For one thread."""
         # without news, too: what did not work before is tried again
         if self.heard.wait_for_news(self._settings.retry_time):
             self._publish()
@@ -164,7 +151,7 @@ class WorkNode:
     # -- the start
 
     def open(self) -> None:
-        """Read the model, and find out what became of the work before this start."""
+        """Load the model, and find out what became of the work before this start."""
         try:
             self._load()
         except ConstructionTwinError as error:
@@ -175,7 +162,6 @@ class WorkNode:
         files = None
         if settings.private:
             files = extension("console.private_files").PrivateFiles(ros_home() / settings.private, robot.name)
-        if files is not None:
             files.drop_building()
         began, folder = time.monotonic(), ros_home() / settings.folder
         prepared: Prepared = self._worker.ask_first(
@@ -202,11 +188,11 @@ class WorkNode:
             self._diagnostics.refuse,
             functools.partial(rospy.loginfo, "%s"),
         )
-        self.session = WorkSession.open(prepared, folder, robot, self.heard, neighbours, time.time_ns)
+        self.session = WorkSession(prepared, folder, robot, self.heard, neighbours, time.time_ns)
         self.session.recall(settings.listen_time)
 
     def _show_building(self, prepared: Prepared, files: Any) -> None:
-        """Write the model where a console serves it; without it everything else goes on."""
+        """Write the model where a console serves it."""
         placed = {job.element: prepared.elements[job.element] for job in prepared.schedule.jobs}
         try:
             files.write_building(glb(placed, prepared.digest))
@@ -248,13 +234,13 @@ class WorkNode:
         return Outcome(True, fields.pop("message"), fields=fields)
 
     def on_decide(self, request: srv.WorkDecideRequest) -> str:
-        """Take what a person decides of a task or the schedule."""
+        """Record a decision of a person."""
         return self._opened().decide(
             request.decision, request.task, request.answer, request.person, request.reason, request.question
         )
 
     def on_measured(self, request: srv.WorkMeasuredRequest) -> Outcome:
-        """Take where a person has measured an element."""
+        """Record where a person has measured an element."""
         header = request.pose.header
         pose = product(self._frames.in_base(header.frame_id, header.stamp), pose_from_msg(request.pose.pose))
         found = self._opened().measured(request.element, pose, request.person, request.reason)
@@ -263,7 +249,7 @@ class WorkNode:
         return Outcome(True, sentence, fields={"deviation_mm": distance, "deviation_deg": angle})
 
     def take(self, topic: str, read: Callable[[Any], Any], message: Any) -> None:
-        """Hand on what a message says; one that cannot be read is refused."""
+        """Hand on a message; one that cannot be read is refused."""
         try:
             said = read(message)
         except (SceneError, TrajectoryError, PayloadError) as error:
@@ -274,7 +260,7 @@ class WorkNode:
     # -- reports
 
     def _fail(self, sentence: str) -> None:
-        """Go on without the work: its record or its model cannot be used."""
+        """Go on without the work."""
         rospy.logerr("%s", sentence)
         self._problem, self.session, self._broken = sentence, None, True
         self._publish()
@@ -300,8 +286,7 @@ class WorkNode:
         prefix, robot = self._settings.tf_prefix, self._robot
         triangles = {name: facts.triangles for name, facts in session.board.prepared.elements.items()}
         base, tip = tf_frame(prefix, robot.base_link), tf_frame(prefix, robot.tip_link)
-        markers = work_markers(session.appearances(), triangles, base, tip, self._drawn)
-        self._drawn = {marker.ns for marker in markers if marker.action == marker.ADD}
+        markers = work_markers(session.appearances(), triangles, base, tip)
         self._publishers["work/markers"].publish(MarkerArray(markers))
 
     def report(self) -> Report:
@@ -322,57 +307,47 @@ class WorkNode:
 
 
 def work_markers(
-    elements: Iterable[Appearance],
-    triangles: Mapping[str, np.ndarray],
-    base_frame: str,
-    tip_frame: str,
-    shown: Collection[str] = (),
+    elements: Iterable[Appearance], triangles: Mapping[str, np.ndarray], base_frame: str, tip_frame: str
 ) -> list[Marker]:
-    """Return each element at its place in a colour that says how far it is: the model's triangles, not the pieces that are checked.
-
-    A namespace for each, all of them each time: who begins to listen hears the last message only.
+    """Return each element in a colour that says how far it is, a namespace each, in place of all that was drawn before.
 
     Args:
-        triangles: Shape (t, 3, 3) each. By element, in its frame [m]; one without any is not drawn.
+        triangles: Shape (t, 3, 3) by element, in its frame [m]; of the model, not the pieces that are checked.
         tip_frame: Of what is carried.
-        shown: Namespaces that were drawn before: those that are drawn no more are deleted.
     """
-    markers: dict[str, Marker] = {}
+    markers = [Marker(action=Marker.DELETEALL)]
     for one in elements:
         corners = np.asarray(triangles[one.element]).reshape(-1, 3)
         if not len(corners):
             continue
-        key = f"{one.element} {one.word}" if one.word in ("stock", "carried") else one.element
-        markers[key] = _element(key, one, corners, tip_frame if one.word == "carried" else base_frame)
+        markers.append(_element(one, corners, tip_frame if one.word == "carried" else base_frame))
         if one.word == "next":
             placed = corners @ one.pose.rotation.T + one.pose.position
             low, high = placed.min(axis=0), placed.max(axis=0)
-            x, y = (low + high)[:2] / 2.0
-            text = f"next: {one.name}"
-            marker = Marker(ns=TEXT, type=Marker.TEXT_VIEW_FACING, action=Marker.ADD, text=text, frame_locked=True)
-            marker.header.frame_id = base_frame
-            marker.pose = PoseMsg(
-                Point(float(x), float(y), float(high[2]) + _TEXT_ROOM), Quaternion(0.0, 0.0, 0.0, 1.0)
-            )
-            marker.scale = Vector3(0.0, 0.0, _TEXT_SIZE)
-            marker.color = ColorRGBA(*_TEXT_COLOUR)
-            markers[TEXT] = marker
-    gone = [Marker(ns=key, action=Marker.DELETE) for key in sorted(set(shown) - markers.keys())]
-    return [*gone, *markers.values()]
+            above = (*map(float, (low + high)[:2] / 2.0), float(high[2]) + _TEXT_ROOM)
+            marker = _marker(TEXT, Marker.TEXT_VIEW_FACING, base_frame, above, (0.0, 0.0, 0.0, 1.0), _TEXT_COLOUR)
+            marker.text, marker.scale = f"next: {one.name}", Vector3(0.0, 0.0, _TEXT_SIZE)
+            markers.append(marker)
+    return markers
 
 
-def _element(key: str, one: Appearance, corners: np.ndarray, frame: str) -> Marker:
-    marker = Marker(ns=key, type=Marker.TRIANGLE_LIST, action=Marker.ADD, frame_locked=True)
-    marker.header.frame_id = frame
+def _element(one: Appearance, corners: np.ndarray, frame: str) -> Marker:
     low, high = corners.min(axis=0), corners.max(axis=0)
     grown = 1.0 + 2.0 * _SKIN / np.maximum(high - low, _SKIN)
     # rviz scales about the frame's origin; the element is to grow about its middle
-    pose: Pose = one.pose
-    position = pose.position + pose.rotation @ ((1.0 - grown) * (low + high) / 2.0)
-    marker.pose = PoseMsg(Point(*map(float, position)), Quaternion(*map(float, rotation_to_quaternion(pose.rotation))))
+    position = one.pose.position + one.pose.rotation @ ((1.0 - grown) * (low + high) / 2.0)
+    name = f"{one.element} {one.word}" if one.word in ("stock", "carried") else one.element
+    turned = rotation_to_quaternion(one.pose.rotation)
+    marker = _marker(name, Marker.TRIANGLE_LIST, frame, position, turned, COLOURS[one.word])
     marker.scale = Vector3(*map(float, grown))
-    marker.color = ColorRGBA(*COLOURS[one.word])
     marker.points = [Point(*corner) for corner in corners.tolist()]
+    return marker
+
+
+def _marker(name: str, kind: int, frame: str, position: Any, quaternion: Any, colour: tuple[float, ...]) -> Marker:
+    marker = Marker(ns=name, type=kind, action=Marker.ADD, frame_locked=True, color=ColorRGBA(*colour))
+    marker.header.frame_id = frame
+    marker.pose = PoseMsg(Point(*map(float, position)), Quaternion(*map(float, quaternion)))
     return marker
 
 

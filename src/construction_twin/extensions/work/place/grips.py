@@ -1,11 +1,7 @@
-"""Where a tool with suction cups can hold an element: candidates on its flat faces, in the order in which a recipe prefers them.
+"""Where a tool with suction cups can hold an element, in the order of the recipe. Metres, kilograms, in the element's frame.
 
-Metres, kilograms, in the element's frame. The faces are those of the scene's convex pieces. Whether the arm reaches a candidate is
-not asked here, see `planner`.
-
-A cup lies on a face when its rim and a margin around it do: its middle, 16 points of the rim and 8 half way are looked at, each
-just inside of the element on one side of the plane and just outside on the other. A hole between these points is not seen. Cups
-beside the face are taken to close by themselves, as those with a valve do.
+A cup lies on a face when its rim and a margin do: its middle, 16 points of the rim and 8 half way have material just inside and
+none just outside. A hole between these points is not seen. Cups beside the face are taken to close by themselves.
 """
 
 from __future__ import annotations
@@ -38,9 +34,8 @@ class Grip:
 
     Attributes:
         name: ``+z along 0 mm, turned 90 deg, element turned 180 deg, 6 cups``.
-        element_T_tcp: Where the tool's centre point is at the element in its stock; z into the face.
-        element_T_turned: The frame in the element that takes the place of its own from the grip on: another one only for an element
-            that is the same body when it is turned.
+        element_T_tcp: In its stock; z into the face.
+        element_T_turned: The frame that takes the place of its own, of an element that is the same body when it is turned.
     """
 
     name: str
@@ -51,24 +46,16 @@ class Grip:
 
 @dataclass(frozen=True, eq=False)
 class GripSearch:
-    """What was found, and why not more.
-
-    `reason`: Why the candidate that came furthest was left out, as a part of a sentence; for when there is no grip.
-    """
+    """The grips, or why the candidate that came furthest was left out."""
 
     grips: tuple[Grip, ...]
     reason: str
 
 
 def find_grips(pieces: Pieces, up: np.ndarray, mass: float, recipe: PlaceRecipe, tool: Tool) -> GripSearch:
-    """Return the grips of an element.
+    """Return the grips of an element: by faces, then its turns, then the tool's, then places.
 
-    Args:
-        up: Shape (3,). What is up in the stock, in the element's frame.
-        mass: [kg]
-
-    Returns:
-        In the recipe's order: faces, then turns of the element, then turns of the tool, then places along and across.
+    `up`: Shape (3,). In the stock.
     """
     wanted = recipe.grips
     if tool.cups is None:
@@ -83,80 +70,55 @@ def find_grips(pieces: Pieces, up: np.ndarray, mass: float, recipe: PlaceRecipe,
         return GripSearch((), f"it has no flat face {' or '.join(wanted.faces)}")
     grips: list[Grip] = []
     reasons: list[tuple[int, str]] = []
-    for face in faces:
-        turns = [turn for turn in wanted.turns_deg if turn % 360.0 == 0.0 or pieces.same_turned(face.turned(turn))]
+    for name, frame in faces:
+        turned = [(turn, _turned(frame, turn)) for turn in wanted.turns_deg]
         places = itertools.product(wanted.yaws_deg, wanted.along, wanted.across)
-        on_face = [_Place(face, *place) for place in places]
-        held = [(place, place.held(pieces, tool.cups, wanted.margin)) for place in on_face]
-        for turn in turns:
-            for place, cups in held:
-                problem = _problem(place, cups, needed, wanted.lever, pieces)
+        tools = [(place, _tool_at(frame, *place)) for place in places]
+        held = [(place, tcp, _held(tcp, pieces, tool.cups, wanted.margin)) for place, tcp in tools]
+        for turn, element_T_turned in turned:
+            if turn % 360.0 and not pieces.same_turned(element_T_turned):
+                continue
+            for (yaw, along, across), tcp, cups in held:
+                where = f"{name} {1e3 * along:g} mm along, {1e3 * across:g} mm across, tool at {yaw:g} deg"
+                problem = _problem(where, tcp, cups, needed, wanted.lever, pieces)
                 if problem:
                     reasons.append(problem)
                     continue
-                named = f"{place.name}, element turned {turn:g} deg" if turn else place.name
-                grips.append(Grip(f"{named}, {len(cups)} cups", place.element_T_tcp, face.turned(turn), len(cups)))
+                where += f", element turned {turn:g} deg" if turn else ""
+                grips.append(Grip(f"{where}, {len(cups)} cups", tcp, element_T_turned, len(cups)))
     return GripSearch(tuple(grips), max(reasons, default=(0, "its shape does not allow the turns"))[1])
 
 
-@dataclass(frozen=True, eq=False)
-class _Face:
-    """A flat face: a plane, and a frame in it below the centre of gravity, x along the longer side, z outwards."""
-
-    name: str
-    frame: Pose
-
-    def turned(self, angle_deg: float) -> Pose:
-        """Return the motion that turns the element about the face's normal through the frame's origin."""
-        angle = math.radians(angle_deg)
-        about = self.frame.rotation @ _about_z(angle) @ self.frame.rotation.T
-        return Pose(self.frame.position - about @ self.frame.position, about)
+def _turned(frame: Pose, angle_deg: float) -> Pose:
+    """Return the turn of the element about the normal of a face."""
+    about = frame.rotation @ _about_z(math.radians(angle_deg)) @ frame.rotation.T
+    return Pose(frame.position - about @ frame.position, about)
 
 
-@dataclass(frozen=True, eq=False)
-class _Place:
-    """A place of the tool on a face."""
-
-    face: _Face
-    yaw_deg: float
-    along: float
-    across: float
-
-    @property
-    def name(self) -> str:
-        """For people."""
-        offsets = f"{1e3 * self.along:g} mm along, {1e3 * self.across:g} mm across"
-        return f"{self.face.name} {offsets}, tool at {self.yaw_deg:g} deg"
-
-    @property
-    def element_T_tcp(self) -> Pose:
-        """Pose of the tool's centre point: z into the face."""
-        frame = self.face.frame
-        position = frame.position + frame.rotation @ np.array([self.along, self.across, 0.0])
-        into = frame.rotation @ _about_z(math.radians(self.yaw_deg)) @ np.diag([1.0, -1.0, -1.0])
-        return Pose(position, into)
-
-    def held(self, pieces: Pieces, cups: Cups, margin: float) -> np.ndarray:
-        """Return the middles of the cups that lie on the face whole, shape (k, 3)."""
-        pose = self.element_T_tcp
-        middles = np.array([pose.position + pose.rotation @ (x, y, 0.0) for x, y in cups.at])
-        disc = _disc(cups.radius + margin) @ pose.rotation.T
-        points = (middles[:, None] + disc[None]).reshape(-1, 3)
-        out = -pose.rotation[:, 2] * _SKIN
-        lies = pieces.contain(points - out) & ~pieces.contain(points + out)
-        return middles[lies.reshape(len(middles), -1).all(axis=1)]
+def _tool_at(frame: Pose, yaw_deg: float, along: float, across: float) -> Pose:
+    into = frame.rotation @ _about_z(math.radians(yaw_deg)) @ np.diag([1.0, -1.0, -1.0])
+    return Pose(frame.position + frame.rotation @ np.array([along, across, 0.0]), into)
 
 
-def _faces(pieces: Pieces, up: np.ndarray, wanted: tuple[str, ...]) -> list[_Face]:
-    """Return the faces that are wanted, in that order, each once."""
-    found: list[_Face] = []
-    used: set[int] = set()
+def _held(element_T_tcp: Pose, pieces: Pieces, cups: Cups, margin: float) -> np.ndarray:
+    """Return the middles of the cups that lie on the face, shape (k, 3)."""
+    rotation = element_T_tcp.rotation
+    middles = np.array([element_T_tcp.position + rotation @ (x, y, 0.0) for x, y in cups.at])
+    points = (middles[:, None] + _disc(cups.radius + margin) @ rotation.T).reshape(-1, 3)
+    out = -rotation[:, 2] * _SKIN
+    lies = pieces.contain(points - out) & ~pieces.contain(points + out)
+    return middles[lies.reshape(len(middles), -1).all(axis=1)]
+
+
+def _faces(pieces: Pieces, up: np.ndarray, wanted: tuple[str, ...]) -> list[tuple[str, Pose]]:
+    """Return names of the wanted faces, and frames: below the centre of gravity, x along the longer side, z outwards."""
+    found: dict[int, tuple[str, Pose]] = {}
     for word in wanted:
         for number, plane in enumerate(pieces.planes):
-            if number not in used and _looks(plane[:3], word, up):
-                used.add(number)
-                found.append(_Face(_axis_name(plane[:3]) if word in ("any", "up") else word, _frame(pieces, plane)))
-    return found
+            if number not in found and _looks(plane[:3], word, up):
+                name = _axis_name(plane[:3]) if word in ("any", "up") else word
+                found[number] = name, _frame(pieces, plane)
+    return list(found.values())
 
 
 def _looks(normal: np.ndarray, word: str, up: np.ndarray) -> bool:
@@ -208,19 +170,17 @@ def _long_side(flat: np.ndarray) -> float:
     return best[1]
 
 
-def _problem(place: _Place, cups: np.ndarray, needed: int, lever: float, pieces: Pieces) -> tuple[int, str] | None:
-    """Return why a place does not hold the element, with how far it came; None: it does."""
+def _problem(
+    where: str, tcp: Pose, cups: np.ndarray, needed: int, lever: float, pieces: Pieces
+) -> tuple[int, str] | None:
+    """Return why a place does not hold the element, with how far it came."""
     if len(cups) < needed:
-        return len(cups), f"{place.name}: {len(cups)} cups lie on the face; {needed} are needed"
-    pose = place.element_T_tcp
-    flat = (cups - pose.position) @ pose.rotation[:, :2]
-    centre = (pieces.centre - pose.position) @ pose.rotation[:, :2]
+        return len(cups), f"{where}: {len(cups)} cups lie on the face; {needed} are needed"
+    flat, centre = ((points - tcp.position) @ tcp.rotation[:, :2] for points in (cups, pieces.centre))
     away = shapely.MultiPoint(flat).convex_hull.distance(shapely.Point(centre))
     if away > lever:
-        return 1000, (
-            f"{place.name}: the centre of gravity is {1e3 * away:.0f} mm beside the cups that hold; at "
-            f"most {1e3 * lever:.0f} mm are allowed"
-        )
+        beside = f"{where}: the centre of gravity is {1e3 * away:.0f} mm beside the cups that hold"
+        return 1000, f"{beside}; at most {1e3 * lever:.0f} mm are allowed"
     return None
 
 

@@ -1,31 +1,28 @@
-"""How an element is placed: fetch it from its stock, grip it, carry it, set it down, let go, go away.
-
-Joint vectors in the order of `RobotModel.joint_names`, SI; poses in the robot's base_link.
-"""
+"""How an element is placed: fetch it from its stock, grip it, carry it, set it down, let go, go away."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
-from typing import TypeVar
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.sentences import Sentence
-from construction_twin.extensions.work.contacts import FALL
+from construction_twin.extensions.work.contacts import FALL, straight
 from construction_twin.extensions.work.convex_bodies import Pieces
 from construction_twin.extensions.work.errors import TaskPlanningError
-from construction_twin.extensions.work.motions import Failed, Free, PlanBuilder, Search
-from construction_twin.extensions.work.place.grips import Grip, find_grips
-from construction_twin.extensions.work.place.phases import Scenes, Ways, direction, scenes, ways
-from construction_twin.extensions.work.place.recipe import OVERRIDES, PlaceRecipe, check_tool, mass_of
+from construction_twin.extensions.work.motions import PAIRS, Failed, PlanBuilder, Search
+from construction_twin.extensions.work.place.grips import AXES, Grip, find_grips
+from construction_twin.extensions.work.place.recipe import OVERRIDES, Direction, PlaceRecipe, check_tool, mass_of
 from construction_twin.extensions.work.process import REACH, Process, TaskMotions
 from construction_twin.extensions.work.site import inverse, pose_of
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.trajectory import Trajectory
-from construction_twin.scene.objects import product
+from construction_twin.scene.objects import TOOL, Scene, SceneObject, product, tool_objects
+from construction_twin.scene.scene_change import SceneChange
 
 #: Names of the segments of a plan, in their order.
 TO_STOCK, APPROACH, LIFT, CARRY, SET_DOWN, RETREAT = "to stock", "approach", "lift", "carry", "set down", "retreat"
@@ -34,103 +31,93 @@ GRIP = "grip"
 #: In the order in which an attempt gets there.
 STAGES = (GRIP, REACH, APPROACH, LIFT, TO_STOCK, SET_DOWN, RETREAT, CARRY)
 
-#: Pieces of the element further than this from where the job has them are somewhere else [m].
-_ELSEWHERE = 1e-3
 #: Joint solutions within this fraction of a range from its end come after all others.
 _NEAR_LIMIT = 0.01
 
 
-def check(search: Search) -> None:
-    """Refuse what cannot be placed at all: by its mass, or because it is neither in its stock nor, if held, in the grip."""
-    job = search.job
-    mass_of(job, search.name, search.recipe, search.tool.tool)
-    if job.base_T_stock is None:
-        raise TaskPlanningError(job.task, f"{job.called} has no place in stock")
-    present = {item.name: item for item in search.scene.objects}
-    if search.held is not None:
-        for item in job.bodies:
-            if item.name not in present or not present[item.name].link:
-                raise TaskPlanningError(job.task, f"{item.name} is not carried in the scene; expected it in the grip")
-        if falls := _falls(search):
-            raise TaskPlanningError(job.task, falls, SET_DOWN)
-        return
-    if not job.bodies:
-        raise TaskPlanningError(job.task, f"element {job.element.id} has no bodies; it cannot be gripped")
-    for item in job.bodies:
-        found = present.get(item.name)
-        if found is None:
-            raise TaskPlanningError(job.task, f"{item.name} is not in the scene; the element has to be in stock")
-        if found.link:
-            raise TaskPlanningError(job.task, f"{item.name} is carried by {found.link}; expected in stock")
-        away = float(np.linalg.norm(product(job.base_T_stock, item.pose).position - found.pose.position))
-        if away > _ELSEWHERE:
-            where = f"{1e3 * away:.1f} mm from its place in stock"
-            raise TaskPlanningError(job.task, f"{item.name} is {where}; expected in stock")
-
-
 def plan(search: Search) -> TaskMotions:
-    """Return the plan of a task; of one whose element is held already, its rest: carry, set down, let go, go away.
+    """Return the plan of a task; with the element held, of the rest.
 
     Raises:
         Failed: The attempt that came furthest.
-        TaskPlanningError: When there is no grip.
     """
-    return _whole(search) if search.held is None else _rest(search, search.held)
+    mass = mass_of(search.job, search.name, search.recipe, search.tool.tool)
+    return _whole(search, mass) if search.held is None else _rest(search, search.held)
 
 
-def _whole(search: Search) -> TaskMotions:
+def _whole(search: Search, mass: float) -> TaskMotions:
     job = search.job
     assert job.base_T_stock is not None
-    mass = mass_of(job, search.name, search.recipe, search.tool.tool)
     try:
         grips = find_grips(Pieces(job.bodies), job.base_T_stock.rotation.T[:, 2], mass, search.recipe, search.tool.tool)
     except SceneError as error:
         raise TaskPlanningError(job.task, str(error), GRIP) from error
     if not grips.grips:
         raise TaskPlanningError(job.task, f"recipe {search.name!r} finds no grip: {grips.reason}", GRIP)
-    furthest: Failed | None = None
-    for tried, grip in enumerate(grips.grips):
-        if furthest is not None and search.late:
-            furthest.reason = Sentence(
+    falls, tried = _falls(search), 0
+
+    def with_grip(grip: Grip) -> TaskMotions:
+        nonlocal tried
+        tried += 1
+        return _with_grip(search, grip, falls)
+
+    try:
+        return _first(search, grips.grips, with_grip, lambda failed: failed.hopeless)
+    except Failed as failed:
+        if tried < len(grips.grips) and search.late and not failed.hopeless:
+            failed.reason = Sentence(
                 "{reason} ({tried} of {count} grips tried in {seconds:g} s)",
-                reason=furthest.reason,
+                reason=failed.reason,
                 tried=tried,
                 count=len(grips.grips),
-                seconds=search.limits.budget,
+                seconds=search.budget,
             )
+        raise
+
+
+def _rest(search: Search, tool0_T_element: Pose) -> TaskMotions:
+    job, recipe = search.job, search.recipe
+    if falls := _falls(search):
+        raise Failed(SET_DOWN, falls)
+    element_T_tcp = product(inverse(tool0_T_element), pose_of(search.tool.tool.tool0_T_tcp))
+    grip = Grip("the grip it is held with", element_T_tcp, Pose(np.zeros(3), np.eye(3)), 0)
+
+    def arriving(arrive: np.ndarray) -> TaskMotions:
+        at = ways(search, grip, np.zeros(3), arrive)
+        return _OneWay(search, grip, at, scenes(search, at)).plan_carried()
+
+    options = _options(recipe.place.arrive, recipe.place.lengths, job.base_T_goal)
+    return _first(search, options, arriving, method=grip.name)
+
+
+_Tried = TypeVar("_Tried")
+
+
+def _first(
+    search: Search,
+    options: Iterable[_Tried],
+    attempt: Callable[[_Tried], TaskMotions],
+    ends: Callable[[Failed], bool] = lambda failed: False,
+    method: str = "",
+) -> TaskMotions:
+    """Return the first plan that an attempt makes while there is time; raise the failure that came furthest."""
+    furthest: Failed | None = None
+    for option in options:
+        if furthest is not None and search.late:
             break
         try:
-            return _with_grip(search, grip)
+            return attempt(option)
         except Failed as failed:
-            failed.method = grip.name
+            failed.method = method or failed.method
             furthest = _further(furthest, failed)
-            if failed.hopeless:
+            if ends(failed):
                 break
     assert furthest is not None
     raise furthest
 
 
-def _rest(search: Search, tool0_T_element: Pose) -> TaskMotions:
-    job, recipe = search.job, search.recipe
-    element_T_tcp = product(inverse(tool0_T_element), pose_of(search.tool.tool.tool0_T_tcp))
-    grip = Grip("the grip it is held with", element_T_tcp, Pose(np.zeros(3), np.eye(3)), 0)
-    furthest: Failed | None = None
-    for arrive in _options(recipe.place.arrive, recipe.place.lengths, job.base_T_goal):
-        if furthest is not None and search.late:
-            break
-        at = ways(job, grip, recipe, search.tool, np.zeros(3), arrive)
-        there = scenes(search.scene, job, recipe, search.tool, search.robot.tip_link, at, search.shapes)
-        try:
-            return _OneWay(search, grip, at, there).plan_carried()
-        except Failed as failed:
-            failed.method = grip.name
-            furthest = _further(furthest, failed)
-    assert furthest is not None
-    raise furthest
-
-
 def _falls(search: Search) -> str:
-    """Return why the element would fall when the tool lets go of it at its place; empty: something is under it."""
+    """Return why the element would fall at its place; empty: something is under it."""
     job, recipe = search.job, search.recipe
     own = {item.name for item in job.bodies}
     others = [item for item in search.scene.objects if not item.link and item.name not in own]
@@ -144,32 +131,26 @@ def _falls(search: Search) -> str:
     )
 
 
-def _with_grip(search: Search, grip: Grip) -> TaskMotions:
-    """Return the plan with one grip; the ways from the stock and to the place in the recipe's order."""
+def _with_grip(search: Search, grip: Grip, falls: str) -> TaskMotions:
+    """Return the plan with one grip."""
     recipe, job = search.recipe, search.job
     assert job.base_T_stock is not None
-    furthest: Failed | None = None
-    falls = _falls(search)
-    for leave, arrive in itertools.product(
+
+    def by(leave_arrive: tuple[np.ndarray, np.ndarray]) -> TaskMotions:
+        at = ways(search, grip, *leave_arrive)
+        _check_reach(at, search)
+        if falls:
+            raise Failed(SET_DOWN, falls, True)
+        there = scenes(search, at)
+        _check_bodies(search, at, there)
+        return _OneWay(search, grip, at, there).plan()
+
+    options = itertools.product(
         _options(recipe.stock.leave, recipe.stock.lengths, job.base_T_stock),
         _options(recipe.place.arrive, recipe.place.lengths, job.base_T_goal),
-    ):
-        if furthest is not None and search.late:
-            break
-        at = ways(job, grip, recipe, search.tool, leave, arrive)
-        try:
-            _check_reach(at, search)
-            if falls:
-                raise Failed(SET_DOWN, falls, True)
-            there = scenes(search.scene, job, recipe, search.tool, search.robot.tip_link, at, search.shapes)
-            _check_bodies(search, at, there)
-            return _OneWay(search, grip, at, there).plan()
-        except Failed as failed:
-            furthest = _further(furthest, failed)
-            if failed.stage == REACH and "gripping" in failed.reason:
-                break  # another way of the element does not change where it is gripped
-    assert furthest is not None
-    raise furthest
+    )
+    # another way of the element does not change where it is gripped
+    return _first(search, options, by, lambda failed: failed.stage == REACH and "gripping" in failed.reason, grip.name)
 
 
 def _check_reach(at: Ways, search: Search) -> None:
@@ -203,23 +184,133 @@ def _check_bodies(search: Search, at: Ways, there: Scenes) -> None:
             raise Failed(stage, said)
 
 
-def _options(directions: tuple, lengths: tuple[float, ...], base_T_element: Pose) -> list[np.ndarray]:
-    return [length * direction(asked, base_T_element) for asked in directions for length in lengths]
+def _options(directions: tuple[Direction, ...], lengths: tuple[float, ...], base_T_element: Pose) -> list[np.ndarray]:
+    """Return straight ways in the base_link, shape (3,) each, the best first."""
+    units = {"up": np.array([0.0, 0.0, 1.0])} | {name: base_T_element.rotation @ axis for name, axis in AXES.items()}
+    ways_of = [
+        units[asked] if isinstance(asked, str) else np.array(asked) / np.linalg.norm(asked) for asked in directions
+    ]
+    return [length * way for way in ways_of for length in lengths]
 
 
 def _further(one: Failed | None, other: Failed) -> Failed:
-    """Return the attempt that came further, the first of two that came as far."""
+    """Return the attempt that came further."""
     return other if one is None or STAGES.index(other.stage) > STAGES.index(one.stage) else one
 
+
+# -- where the flange is, and what stands where
+
+
+@dataclass(frozen=True, eq=False)
+class Ways:
+    """``base_T_tool0`` at the ends of the straight ways of one task.
+
+    Attributes:
+        lifted, above: Ends of the free way with the element.
+    """
+
+    before: Pose
+    stock: Pose
+    lifted: Pose
+    above: Pose
+    goal: Pose
+    after: Pose
+    tool0_T_element: Pose
+
+
+@dataclass(frozen=True, eq=False)
+class Scenes:
+    """The scene of each part of a task."""
+
+    fetch: Scene
+    approach: Scene
+    lift: Scene
+    carry: Scene
+    set_down: Scene
+    retreat: Scene
+    done: Scene
+
+
+def ways(search: Search, grip: Grip, leave: np.ndarray, arrive: np.ndarray) -> Ways:
+    """Return where the flange goes; `leave`, `arrive`: the element's straight ways, shape (3,)."""
+    job, recipe = search.job, search.recipe
+    assert job.base_T_stock is not None
+    tcp_T_tool0 = inverse(pose_of(search.tool.tool.tool0_T_tcp))
+    turned_T_tcp = product(inverse(grip.element_T_turned), grip.element_T_tcp)
+    base_T_stock_tcp, base_T_goal_tcp = (
+        product(job.base_T_stock, grip.element_T_tcp),
+        product(job.base_T_goal, turned_T_tcp),
+    )
+    stock, goal = product(base_T_stock_tcp, tcp_T_tool0), product(base_T_goal_tcp, tcp_T_tool0)
+    # the tool's z points into the face
+    out, away = -base_T_stock_tcp.rotation[:, 2], -base_T_goal_tcp.rotation[:, 2]
+    return Ways(
+        _moved(stock, recipe.stock.approach * out),
+        stock,
+        _moved(stock, leave),
+        _moved(goal, arrive),
+        goal,
+        _moved(goal, recipe.place.retreat * away),
+        product(inverse(tcp_T_tool0), inverse(turned_T_tcp)),
+    )
+
+
+def _moved(pose: Pose, by: np.ndarray) -> Pose:
+    return Pose(pose.position + by, pose.rotation)
+
+
+def scenes(search: Search, at: Ways) -> Scenes:
+    """Return the scene of each part of a task, which allows exactly the contacts that its straight way needs, see `contacts`."""
+    scene, job, grips, link = search.scene, search.job, search.recipe.grips, search.robot.tip_link
+    bare = tool_objects(search.tool, link)
+    own = {item.name for item in job.bodies}
+    supports = [item for item in scene.objects if item.name in job.supports and item.name not in own and not item.link]
+    held = [item.moved(product(at.tool0_T_element, item.pose)) for item in job.bodies]
+    beside = [item for item in bare if item.name.removeprefix(TOOL) in grips.beside]
+
+    def near(moving: Sequence[SceneObject], *ends: Pose) -> tuple[str, ...]:
+        places = [pose for start, end in zip(ends, ends[1:]) for pose in straight(start, end)]
+        return search.shapes.near(moving, places, supports, scene.padding) if moving else ()
+
+    stock_tool, stock_held = near(beside, at.before, at.stock, at.lifted), near(held, at.stock, at.lifted)
+    goal_tool, goal_held = near(beside, at.above, at.goal, at.after), near(held, at.above, at.goal)
+
+    def tools(beside_names: Iterable[str], gripping: bool) -> list[SceneObject]:
+        items = []
+        for item in bare:
+            shape, names = item.name.removeprefix(TOOL), []
+            if gripping and shape in grips.touching:
+                names += sorted(own)
+            if shape in grips.beside:
+                names += list(beside_names)
+            items.append(replace(item, touch=(*item.touch, *names)))
+        return items
+
+    def carried(names: Iterable[str]) -> list[SceneObject]:
+        return [body.moved(item.pose, link, names) for body, item in zip(job.bodies, held)]
+
+    placed = [item.moved(product(job.base_T_goal, item.pose)) for item in job.bodies]
+    after = (
+        tools(stock_tool, True),
+        [*tools(stock_tool, False), *carried(stock_held)],
+        [*bare, *carried(())],
+        [*tools(goal_tool, False), *carried(goal_held)],
+        [*tools(goal_tool, True), *placed],
+        [*bare, *placed],
+    )
+    return Scenes(scene, *(SceneChange(tuple(items)).apply(scene) for items in after))
+
+
+# -- the attempt with one grip and one pair of straight ways
 
 _Made = TypeVar("_Made")
 
 
-def _once(made: dict[int, _Made | Failed], number: int, make: Callable[[], _Made]) -> _Made:
-    """Return what was made for a number, made at the first call; a failure is kept and raised again too."""
+def _once(made: dict[int, _Made | Failed], number: int, make: Callable[[np.ndarray], _Made], q: np.ndarray) -> _Made:
+    """Return what was made of a joint solution at the first call, or raise why it could not be made."""
     if number not in made:
         try:
-            made[number] = make()
+            made[number] = make(q)
         except Failed as failed:
             made[number] = failed
     found = made[number]
@@ -228,19 +319,13 @@ def _once(made: dict[int, _Made | Failed], number: int, make: Callable[[], _Made
     return found
 
 
-@dataclass(eq=False)
-class _Stock:
-    """The way of a tool to the element and off with it, from one joint solution."""
-
+class _Stock(NamedTuple):
     before: np.ndarray
     approach: Trajectory
     lift: Trajectory
 
 
-@dataclass(eq=False)
-class _Goal:
-    """The way of an element to its place and of the tool away from it, from one joint solution."""
-
+class _Goal(NamedTuple):
     above: np.ndarray
     set_down: Trajectory
     retreat: Trajectory
@@ -248,8 +333,6 @@ class _Goal:
 
 @dataclass(eq=False)
 class _OneWay:
-    """The attempt with one grip and one pair of straight ways."""
-
     search: Search
     grip: Grip
     at: Ways
@@ -258,18 +341,18 @@ class _OneWay:
     _goals: dict[int, _Goal | Failed] = field(default_factory=dict)
 
     def plan(self) -> TaskMotions:
-        """Return the plan; the combinations of joint solutions with the shortest free ways first."""
+        """Return the plan; the joint solutions with the shortest free ways first."""
         find, at, there = self.search.solutions, self.at, self.scenes
         befores = find(at.before, self.search.start, there.fetch, APPROACH, "before gripping")
         aboves = find(at.above, befores[0], there.carry, SET_DOWN, "above its place")
         furthest: Failed | None = None
         tried = 0
         for one, other in self._combinations(befores, aboves):
-            if tried >= self.search.limits.pairs or (tried and self.search.late):
+            if tried >= PAIRS or (tried and self.search.late):
                 break
             try:
-                stock = self._stock(one, befores[one])
-                goal = self._goal(other, aboves[other])
+                stock = _once(self._stocks, one, self._make_stock, befores[one])
+                goal = _once(self._goals, other, self._make_goal, aboves[other])
                 tried += 1
                 return self._joined(stock, goal)
             except Failed as failed:
@@ -278,22 +361,16 @@ class _OneWay:
         raise furthest
 
     def plan_carried(self) -> TaskMotions:
-        """Return the rest of a plan whose element is held already."""
+        """Return the rest of a plan whose element is held."""
         search, there, scale = self.search, self.scenes, self.search.recipe.carry_speed_scale
         aboves = search.solutions(self.at.above, search.start, there.carry, SET_DOWN, "above its place")
-        furthest: Failed | None = None
-        for number in search.nearest(aboves)[: search.limits.pairs]:
-            if furthest is not None and search.late:
-                break
-            try:
-                goal = self._goal(number, aboves[number])
-                carry = search.free(search.start, goal.above, scale, there.carry, CARRY)
-            except Failed as failed:
-                furthest = _further(furthest, failed)
-                continue
+
+        def above(number: int) -> TaskMotions:
+            goal = self._make_goal(aboves[number])
+            carry = search.free(search.start, goal.above, scale, there.carry, CARRY)
             return self._carried(PlanBuilder(search, search.scene), carry, goal)
-        assert furthest is not None
-        raise furthest
+
+        return _first(search, search.nearest(aboves)[:PAIRS], above)
 
     def _combinations(self, befores: list[np.ndarray], aboves: list[np.ndarray]) -> Iterator[tuple[int, int]]:
         robot = self.search.robot
@@ -324,12 +401,6 @@ class _OneWay:
             if not (isinstance(self._stocks.get(one), Failed) or isinstance(self._goals.get(other), Failed)):
                 yield one, other
 
-    def _stock(self, number: int, before: np.ndarray) -> _Stock:
-        return _once(self._stocks, number, lambda: self._make_stock(before))
-
-    def _goal(self, number: int, above: np.ndarray) -> _Goal:
-        return _once(self._goals, number, lambda: self._make_goal(above))
-
     def _make_stock(self, before: np.ndarray) -> _Stock:
         search, recipe, at, there = self.search, self.search.recipe, self.at, self.scenes
         approach = search.line(before, at.stock, recipe.free_speed_scale, there.approach, APPROACH)
@@ -346,23 +417,22 @@ class _OneWay:
 
     def _joined(self, stock: _Stock, goal: _Goal) -> TaskMotions:
         search, recipe, there = self.search, self.search.recipe, self.scenes
-        fetch = search.free(search.start, stock.before, recipe.free_speed_scale, there.fetch, TO_STOCK)
+        fetch, clearance = search.free(search.start, stock.before, recipe.free_speed_scale, there.fetch, TO_STOCK)
         carry = search.free(stock.lift.positions[-1], goal.above, recipe.carry_speed_scale, there.carry, CARRY)
         grip, release = search.tool.tool.grip, search.tool.tool.release
         # a sensor that is stuck, or a scrap on the cups, is found before anything is gripped
         held, empty = grip.signals(), release.signals()
         made = PlanBuilder(search, there.fetch)
-        made.add(TO_STOCK, fetch.trajectory, False, empty, (), there.approach, fetch.clearance)
+        made.add(TO_STOCK, fetch, False, empty, (), there.approach, clearance)
         made.add(APPROACH, stock.approach, True, empty, grip.switches(), there.lift)
         made.add(LIFT, stock.lift, True, held, (), there.carry)
         return self._carried(made, carry, goal)
 
-    def _carried(self, made: PlanBuilder, carry: Free, goal: _Goal) -> TaskMotions:
-        """Return the plan that goes on with the element in the grip, up to its end."""
+    def _carried(self, made: PlanBuilder, carry: tuple[Trajectory, float], goal: _Goal) -> TaskMotions:
         there, tool = self.scenes, self.search.tool.tool
         held, empty = tool.grip.signals(), tool.release.signals()
         engaged = self.search.recipe.carry_engaged
-        made.add(CARRY, carry.trajectory, engaged, held, (), there.set_down, carry.clearance)
+        made.add(CARRY, carry[0], engaged, held, (), there.set_down, carry[1])
         made.add(SET_DOWN, goal.set_down, True, held, tool.release.switches(), there.retreat)
         made.add(RETREAT, goal.retreat, True, empty, (), there.done)
         return made.plan(self.grip.name, self.at.tool0_T_element)
@@ -375,6 +445,5 @@ PROCESS = Process(
     check_recipe=check_tool,
     mass=mass_of,
     acts=SET_DOWN,
-    check=check,
     plan=plan,
 )

@@ -1,7 +1,4 @@
-"""How an element is placed: where it is gripped, which way it leaves the stock and arrives, how fast, what may touch.
-
-Metres, kilograms, seconds; degrees in names that end in ``_deg``. Each key is explained in config/work/recipes.yaml.
-"""
+"""The recipe of `place`. Metres, kilograms, seconds; degrees in ``_deg``. Each key is explained in config/work/recipes.yaml."""
 
 from __future__ import annotations
 
@@ -12,8 +9,7 @@ import pydantic
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work.errors import TaskPlanningError
-from construction_twin.extensions.work.process import WorkJob
-from construction_twin.extensions.work.recipe import (
+from construction_twin.extensions.work.process import (
     PROPERTY_SET,
     SHARED,
     Finite,
@@ -22,6 +18,7 @@ from construction_twin.extensions.work.recipe import (
     Recipe,
     Scale,
     Strict,
+    WorkJob,
     numbers,
     words,
 )  # fmt: skip
@@ -44,22 +41,7 @@ Direction = Annotated[_Axis | tuple[Finite, Finite, Finite], pydantic.AfterValid
 
 
 class Grips(Strict):
-    """Where an element may be gripped, the best first.
-
-    Attributes:
-        faces: ``up``: flat faces that look up in the stock; ``+x`` to ``-z``: along the element's own axes; ``any``: all, the
-            largest first.
-        along, across: Where the tool's centre point goes, from the middle of gravity along the face's longer and shorter side [m].
-        yaws_deg: How the tool's x axis is turned from the face's longer side [deg].
-        turns_deg: By how much the element may be turned about the face's normal between stock and place, in turns that map its
-            shape onto itself [deg].
-        min_cups: So many cups must lie on the face whole, besides those that the mass needs.
-        margin: Distance of a cup's rim from the face's edge [m].
-        lever: Largest distance of the centre of gravity, seen along the face's normal, from the hull of the cups that hold [m].
-        touching: Shapes of the tool that touch the element.
-        beside: Shapes of the tool that may come closer than the scene's padding to what lies beside the element in stock and at its
-            place.
-    """
+    """Where an element may be gripped; lengths in m."""
 
     faces: Annotated[tuple[_Face, ...], pydantic.Field(min_length=1)] = ("up",)
     along: Annotated[tuple[Finite, ...], pydantic.Field(min_length=1)] = (0.0,)
@@ -74,13 +56,7 @@ class Grips(Strict):
 
 
 class Stock(Strict):
-    """How the element is fetched.
-
-    Attributes:
-        approach: Length of the straight way of the tool to the face, against its normal [m].
-        leave: Which way the element leaves, the best first.
-        lengths: Lengths of that straight way [m], tried one after the other.
-    """
+    """How the element is fetched; lengths in m."""
 
     approach: Length = 0.1
     leave: Annotated[tuple[Direction, ...], pydantic.Field(min_length=1)] = ("up",)
@@ -88,15 +64,7 @@ class Stock(Strict):
 
 
 class Place(Strict):
-    """How the element is set down.
-
-    Attributes:
-        arrive: From which side the element comes, the best first.
-        lengths: Lengths of that straight way [m], tried one after the other.
-        retreat: Length of the straight way of the tool from the face, along its normal [m].
-        fastened: Something that the model does not show holds the element before the tool lets go: screws, glue, a clamp. Else an
-            element that nothing is under is refused: it would fall.
-    """
+    """How the element is set down; lengths in m."""
 
     arrive: Annotated[tuple[Direction, ...], pydantic.Field(min_length=1)] = ("up",)
     lengths: Annotated[tuple[Length, ...], pydantic.Field(min_length=1)] = (0.1,)
@@ -105,13 +73,7 @@ class Place(Strict):
 
 
 class PlaceRecipe(Recipe):
-    """How elements of one kind are placed.
-
-    Attributes:
-        free_speed_scale, carry_speed_scale: Fraction of the joints' limits on the free ways, without and with the element.
-        carry_engaged: After a stop while the element is carried freely, only the way back may be planned.
-        mass: Taken for elements whose mass the model does not say [kg]; None: they are refused.
-    """
+    """How elements of one kind are placed; `mass`: of elements without one in the model [kg], None: refused."""
 
     grips: Grips
     stock: Stock = Stock()

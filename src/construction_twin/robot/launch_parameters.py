@@ -1,0 +1,45 @@
+"""The command `expand_xacro`: a URDF, or a robot YAML's home pose, for a launch file's parameter; roslaunch waits for it."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+
+import yaml
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.units import radians
+from construction_twin.robot.urdf import expand_xacro, xacro_arguments
+
+
+def home_positions(path: str | Path) -> dict[str, float]:
+    """Return the home pose of a robot YAML, and where its other joints stand, by joint name [rad], [m]; the nodes check the file.
+
+    Raises:
+        OSError, yaml.YAMLError, TypeError, KeyError, AttributeError: If it is not a robot YAML.
+    """
+    robot = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    joints = robot["joints"].items()
+    home = {
+        name: joint["home_mm"] / 1e3 if "home_mm" in joint else radians((joint["home_deg"],))[0]
+        for name, joint in joints
+    }
+    return home | robot.get("other_joints", {})
+
+
+def main() -> None:
+    """Print the URDF of a xacro file, or the home pose as YAML [rad], [m]; a file that is wrong ends with one sentence."""
+    words = sys.argv[1:]
+    if len(words) == 2 and words[0] == "--home":
+        try:
+            print(yaml.safe_dump(home_positions(words[1])))
+        except (OSError, yaml.YAMLError, TypeError, KeyError, AttributeError) as error:
+            sys.exit(f"robot_config: {words[1]}: found {' '.join(str(error).split())}, expected a robot YAML")
+        return
+    if not words:
+        sys.exit("usage: expand_xacro FILE [argument=value ...], or expand_xacro --home ROBOT_YAML")
+    try:
+        print(expand_xacro(words[0], xacro_arguments(shlex.join(words[1:]))))
+    except ConfigurationError as error:
+        sys.exit(f"robot_xacro: {error}")
