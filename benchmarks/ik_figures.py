@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 import PyKDL
 
-from construction_twin.core.motion_errors import KinematicsError
 from construction_twin.kinematics.chain import Chain, Pose, to_frame
 from construction_twin.kinematics.solution import InverseKinematics, refine, residual
+from construction_twin.robot.motion_errors import KinematicsError
 
 #: A solution counts as the nearest unless the brute force finds one nearer by more than this: KDL's solver leaves that much
 #: in the joints where the wrist is almost singular [rad].

@@ -22,9 +22,9 @@ import numpy as np
 import yaml
 from link_world import environment
 
-from construction_twin.core.motion_errors import NoPathError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
+from construction_twin.planning.ompl_search import NoPathError
 from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
 from construction_twin.planning.recheck import ROUNDING
 from construction_twin.planning.time_scaling import RestToRest

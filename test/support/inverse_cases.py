@@ -12,9 +12,9 @@ import numpy as np
 from hypothesis import strategies as st
 from rotations import rotation_angle
 
-from construction_twin.core.motion_errors import BranchError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
+from construction_twin.kinematics.solution import BranchError
 from construction_twin.robot.description import read_robot_files
 
 ROOT = Path(__file__).parents[2]

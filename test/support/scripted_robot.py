@@ -20,7 +20,6 @@ from read_requests import read_message
 
 from construction_twin.core.errors import ExpiredError, PayloadError
 from construction_twin.core.freshness import Moment, parse_moment, present, staleness
-from construction_twin.core.motion_errors import KinematicsError
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
 from construction_twin.core.speed_limit import SpeedLimit
@@ -60,6 +59,7 @@ from construction_twin.mqtt.requests import EXECUTOR, GATEWAY, RequestKind
 from construction_twin.review.rehearsal_report import RehearsalReport
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.frames import quaternion_to_rotation
+from construction_twin.robot.motion_errors import KinematicsError
 from construction_twin.robot.trajectory import Trajectory, whole_nanoseconds
 
 XACRO, CONFIG = ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml"

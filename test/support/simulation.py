@@ -19,7 +19,6 @@ import numpy as np
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment
 from construction_twin.core.limits import MotionLimits
-from construction_twin.core.travel_time import StateCheck
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.evaluation.recording import FeedbackStream, PlayedPlan, Recording, Stream
 from construction_twin.execution.approval import Approval
@@ -27,6 +26,7 @@ from construction_twin.execution.executor import Executor, ExecutorState
 from construction_twin.execution.segment_run import ToolOrder
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway
+from construction_twin.link.bridge import StateCheck
 from construction_twin.link.gateway_status import GatewayAnswer, GatewayStatus, read
 from construction_twin.link.observations import LinkState
 from construction_twin.link.supervisor import LinkSupervisor

@@ -27,7 +27,6 @@ from unplugged import ask, over_the_wire
 
 from construction_twin.core.errors import RequestRefused
 from construction_twin.core.freshness import Moment
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.extensions.work import session
 from construction_twin.extensions.work.ledger import read_entries
 from construction_twin.extensions.work.nodes import work as module
@@ -40,6 +39,7 @@ from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.review.plan_under_review import Ending, Verdict
 from construction_twin.review.record import ReviewLog
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.plan import Plan, content_hash
 from construction_twin.robot.segments import Segment, Signal, Switch
 from construction_twin.ros.messages.convert import plan_to_msg, work_segment_from_msg

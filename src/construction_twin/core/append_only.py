@@ -90,11 +90,7 @@ class AppendOnlyFile:
         self._deferred.append((now, fields))
 
     def flush(self) -> None:
-        """Write what was deferred.
-
-        Raises:
-            ConstructionTwinError: What `failure` makes. What is not written stays deferred.
-        """
+        """Write what was deferred; after the error of `failure` it stays deferred."""
         with self._lock:
             while self._deferred:
                 self._append(*self._deferred[0])
@@ -106,11 +102,7 @@ class AppendOnlyFile:
                 self._reported += number
 
     def append(self, now: int, fields: dict) -> None:
-        """Write one line, behind those that were deferred; when this returns it is on the disk.
-
-        Raises:
-            ConstructionTwinError: What `failure` makes. What could be written of the line is taken back.
-        """
+        """Write one line, behind those that were deferred, to the disk; after the error of `failure` no part of it is there."""
         self.flush()
         with self._lock:
             self._append(now, fields)

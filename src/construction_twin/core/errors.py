@@ -1,5 +1,4 @@
-"""The package's exceptions: one tree, each carrying the data a caller needs to act on it. Those of kinematics, scene and planning
-are in `motion_errors`.
+"""The package's exceptions: one tree, each carrying the data a caller needs to act on it; these are of several folders.
 
 Messages say what happened, the value, what was expected and what to do. Library code raises; only ``ros/`` and the
 command-line entry points catch, and turn an error into a service answer, a counter or one sentence for the operator.

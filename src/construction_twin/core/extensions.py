@@ -20,11 +20,7 @@ class ExtensionAbsent(ConfigurationError):
 
 
 def extension(module: str) -> ModuleType:
-    """Import a module of an extension, ``physics.mock_servo``.
-
-    Raises:
-        ExtensionAbsent: The extension is not installed.
-    """
+    """Import a module of an extension, ``physics.mock_servo``; ExtensionAbsent where it is not installed."""
     path = f"construction_twin.extensions.{module}"
     try:
         return importlib.import_module(path)
@@ -36,10 +32,7 @@ def extension(module: str) -> ModuleType:
 
 
 def run_main(module: str, waits: bool = False) -> object:
-    """Run `main` of an extension's program; without the extension say so, and return 2.
-
-    `waits`: say so and wait, as a node without which a launch is complete.
-    """
+    """Run `main` of an extension's program; without the extension say so and return 2, or wait, as a node of a complete launch."""
     try:
         main = extension(module).main
     except ExtensionAbsent as error:

@@ -45,11 +45,7 @@ class Moment:
 
 
 def parse_moment(text: object) -> Moment:
-    """Return the moment that a request repeats.
-
-    Raises:
-        PayloadError: ``moment``
-    """
+    """Return the moment that a request repeats; PayloadError ``moment``."""
     found = _TEXT.fullmatch(text) if isinstance(text, str) else None
     if found is None:
         shown = "nothing" if text is None or text == "" else repr(text)[:60]

@@ -1,9 +1,7 @@
-"""Cubic interpolation between stamped poses: the arithmetic that playout, monitor and evaluation share.
+"""Cubic interpolation between stamped poses: the arithmetic that playout, monitor and evaluation share. Standard library only.
 
-A cubic Hermite segment per pair of neighbouring stamps. The velocity at a stamp is that of the parabola through it and
-its two neighbours, so velocity is continuous and a motion of constant acceleration is met exactly, also over stamps that
-are missing. At the end of what is known, where a neighbour is missing, it is the mean velocity of the segment. Standard
-library only; stamps in ns.
+A cubic Hermite segment per pair of stamps [ns]. The velocity at a stamp is that of the parabola through it and its neighbours, so a
+motion of constant acceleration is met exactly, also over missing stamps; without a neighbour it is the segment's mean.
 """
 
 from __future__ import annotations

@@ -90,12 +90,10 @@ def distance_off(
 
 
 def braking_distance(step: float, deceleration: float) -> float:
-    """Return how far braking goes on after a step.
+    """Return how far braking goes on after a step, which changes by the deceleration, > 0, in each cycle [rad].
 
     Discrete and exact: the sum of step - deceleration, step - 2 deceleration, ... as long as they are positive. The textbook's
     v^2 / 2a is half a step longer and would refuse a motion that ends at the end of its range at full deceleration.
-
-    Step and deceleration, its change, are per cycle [rad]; the latter is positive.
     """
     cycles = math.floor(step / deceleration)
     return cycles * step - deceleration * cycles * (cycles + 1) / 2

@@ -20,13 +20,9 @@ class LineLimiter:
         self._lines: dict[str, tuple[int, int]] = {}
 
     def note(self, reason: str, now: int) -> str | None:
-        """Take a line that is to be written at `now` [ns].
+        """Return what to append to a line, "" or how many like it were left out before; None: it must not be written.
 
-        Args:
-            reason: Its kind: one of few, never text that came from outside, because every kind is remembered.
-
-        Returns:
-            What to append to the line, "" or how many like it were left out before; None when it must not be written.
+        `reason`: One of few, never text that came from outside, because every kind is remembered.
         """
         written, left_out = self._lines.get(reason, (now - self._period, 0))
         if now - written < self._period:

@@ -1,9 +1,7 @@
-"""A record as plain JSON, field by field: one converter for all that travels as text. Standard library only.
+"""A frozen dataclass as plain JSON: one converter for all that travels as text. Standard library only.
 
-A record is a frozen dataclass. Its fields are numbers, texts, truth values, enumerations (by name), other records, and tuples,
-lists and mappings of them; keys are the fields' names, in their order. A number that is nan or infinite is null, because JSON has
-neither. Where a field is written as seconds of whole ns, or only where there is a value, `as_seconds` and `left_out` say so.
-Reads nothing.
+Keys are the fields' names, in their order; an enumeration is its name, a number that is nan or infinite null. What is written as
+seconds of whole ns, or only where there is a value, `as_seconds` and `left_out` say.
 """
 
 from __future__ import annotations

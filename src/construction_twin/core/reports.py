@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Annotated, Protocol
+from typing import Annotated, Any
 
 from construction_twin.core.records import OR_NULL, SECONDS, as_seconds
 from construction_twin.core.sentences import Sentence
@@ -238,18 +238,6 @@ class SwitchReport:
     reason: str = ""
 
 
-class Reading(Protocol):
-    """What an input of the tool must read."""
-
-    @property
-    def name(self) -> str:
-        """Input of the tool file."""
-
-    @property
-    def value(self) -> bool:
-        """What it must read."""
-
-
 @dataclass(frozen=True)
 class ToolReport:
     """What is known of the tool: `ToolState.msg`, whose lists belong together."""
@@ -261,8 +249,8 @@ class ToolReport:
     switches: Mapping[str, SwitchReport] = field(default_factory=dict)
     reason: str = NO_REPORT
 
-    def problem(self, signals: Iterable[Reading]) -> str:
-        """Return why the inputs are not known to read what these signals say, as a clause; "" when they do, or none are named."""
+    def problem(self, signals: Iterable[Any]) -> str:
+        """Return why the inputs do not read what `Signal`s say, or are not known to, as a clause; "" when they do."""
         signals = tuple(signals)
         if not signals:
             return ""

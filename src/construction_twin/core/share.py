@@ -1,7 +1,7 @@
 """Where the files lie that belong to the package and are no modules: ``config``, ``krl``, ``models``, ``msg``, ``urdf``.
 
-In a checkout that is its root, after ``pip install`` and in a catkin install space ``share/construction_twin``. Standard library
-only, and no ROS: which one is found does not depend on ROS_PACKAGE_PATH. Reads none of the files.
+In a checkout that is its root, after ``pip install`` and in a catkin install space ``share/construction_twin``, whatever
+ROS_PACKAGE_PATH says. Standard library only.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """What runs beside an act that must not fail: a report, a record, a forecast. Standard library only.
 
-A safety act (stop, stop_plan, pause, halt, reject) is carried out and answered whatever else fails. `SideEffects.run` is the one
-place where an unexpected exception ends neither the act nor the node: it is counted, and written after the answer. The act itself
-never runs here.
+A safety act (stop, stop_plan, pause, halt, reject) is carried out and answered whatever else fails, and never runs here.
 """
 
 from __future__ import annotations
@@ -56,10 +54,7 @@ class SideEffects:
         self._last = ""
 
     def run(self, what: str, part: Callable[..., _Result], *arguments: object) -> _Result | None:
-        """Return what a part returns; None after an unexpected exception, which is counted by `what` and kept until it is told.
-
-        The part tells, records or predicts. An act, or what an act depends on, does not belong here.
-        """
+        """Return what a part returns; None after an unexpected exception, which is counted by `what` and kept for the log."""
         try:
             return part(*arguments)
         except Exception as error:  # noqa: BLE001 (beside an act nothing may fail; each is counted)
@@ -83,10 +78,7 @@ class SideEffects:
         return bool(self._unwritten)
 
     def write(self, log: Callable[[str, str], object], failures: list[Failure] | None = None) -> None:
-        """Write failures, by default what `take` returns, to a log as `rospy.logerr`; not for a thread that must not wait.
-
-        When the log fails itself, that is counted and the text is lost: what failed is still in `report`.
-        """
+        """Write failures, by default what `take` returns, to a log as `rospy.logerr`; not for a thread that must not wait."""
         failures = self.take() if failures is None else failures
         for failure in failures:
             self.run("the log", log, "%s", f"{failure.sentence}\n{failure.trace}")

@@ -41,7 +41,7 @@ class SpeedLimit:
         self.update(0)
 
     def hear(self, fraction: float, name: str, now: int) -> None:
-        """Take what a source says at `now` [ns]; it counts until the deadline. The caller has checked both."""
+        """Take what a source says until the deadline; the caller has checked both."""
         self.fraction, self.name, self._heard_at = fraction, name, now
 
     def accept(self, fraction: float, name: str, now: int, words: str = "", sentence: str = "") -> None:

@@ -1,7 +1,6 @@
 """What is wrong with a document, in one sentence for the person who wrote it: key, value, what is allowed.
 
-pydantic finds it and says it; what is added is the key's path, what it meant to say of a pattern, and the key that was mistyped.
-Standard library only: this takes what pydantic returns, not pydantic.
+pydantic says it; what is added is the key's path, the meaning of a pattern, and the key that was mistyped. Standard library only.
 """
 
 from __future__ import annotations

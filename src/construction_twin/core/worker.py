@@ -1,7 +1,6 @@
 """Processes that work for another one, so that neither a broken file nor a long search holds it up.
 
-Such a process is given one end of a pipe, which nobody else can write to; both sides speak pickles. It runs behind everything else
-on the machine, and ends when its parent does, however that ends: after the question that it answers.
+They speak pickles over a pipe that nobody else can write to, run behind everything else on the machine, and end with their parent.
 """
 
 from __future__ import annotations
@@ -32,10 +31,7 @@ _ENDING = 5.0
 
 
 class WorkerError(ConstructionTwinError):
-    """What was asked of the process failed; the sentence is that of the error there.
-
-    `kind`: Name of the error's class; empty: the process ended.
-    """
+    """What was asked of the process failed: the error there by its class, "" where the process ended, and its sentence."""
 
     def __init__(self, kind: str, sentence: str):
         self.kind = kind
@@ -73,10 +69,7 @@ class Worker:
         return answer["result"]
 
     def interrupt(self) -> None:
-        """End the process in the midst of a question: whoever waits for the answer gets a WorkerError. For another thread.
-
-        `close` it before the next question.
-        """
+        """End the process in the midst of another thread's question, which gets a WorkerError; `close` it before the next one."""
         process = self._process
         if process is not None:
             process.kill()
@@ -134,10 +127,7 @@ def serve_parent(functions: Mapping[str, Callable]) -> None:
 
 
 def _answered(question: bytes, functions: Mapping[str, Callable]) -> bytes:
-    """Return the answer to a question: what the function returns, or kind and sentence of its error.
-
-    It is made of built-in types, so that it can be read by a process to which this module is not `__main__`.
-    """
+    """Return the answer in built-in types, which a process can read to which this module is not `__main__`."""
     try:
         name, arguments = pickle.loads(question)
         return pickle.dumps({"result": functions[name](**arguments)})

@@ -16,11 +16,11 @@ import numpy as np
 
 from construction_twin.core.errors import ConfigurationError, ExecutionError, ReviewError, problem_of
 from construction_twin.core.files import read_file, write_whole
-from construction_twin.core.motion_errors import TrajectoryError
 from construction_twin.core.reports import ToolReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.robot.executed_path import LARGEST_ENTRY, WAY_BACK_TOLERANCE, ExecutedPath, nearest_on_lines
+from construction_twin.robot.motion_errors import TrajectoryError
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.segments import Segment, Signal
 from construction_twin.robot.trajectory import Trajectory

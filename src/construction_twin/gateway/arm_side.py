@@ -11,13 +11,13 @@ from functools import partial
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.side_effects import SideEffects
-from construction_twin.core.state_table import Machine
 from construction_twin.gateway.command_intake import CommandIntake
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.controller_clock import ControllerClock
 from construction_twin.gateway.controller_session import ControllerSession
+from construction_twin.gateway.machine import Machine
 from construction_twin.gateway.player import Player, StopReport
-from construction_twin.gateway.states import CAUSES, Action, Event, Guard, Mode, Occasion, Row, State
+from construction_twin.gateway.states import CAUSES, Action, Event, Mode, Occasion, Row, State
 from construction_twin.gateway.status import Refusals
 from construction_twin.gateway.tool_switches import ToolSwitches
 from construction_twin.mqtt.joint_string import JointStringCodec
@@ -35,7 +35,7 @@ class ArmSide:
     """
 
     #: What may follow what; made by `Gateway`, which knows the functions of all guards and actions.
-    machine: Machine[State, Event, Guard, Action, Occasion]
+    machine: Machine
 
     def __init__(self, config: GatewayConfig, run: str, commissioning: bool, measures: bool, stopped: str):
         self.config = config

@@ -14,13 +14,13 @@ from construction_twin.core.errors import PayloadError
 from construction_twin.core.follower import Follower
 from construction_twin.core.records import document
 from construction_twin.core.sentences import Sentence, both
-from construction_twin.core.state_table import Machine
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.arm_side import ArmSide
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.control import CommandSide
 from construction_twin.gateway.controller_session import moved
-from construction_twin.gateway.states import ROWS, Action, Event, Guard, Mode, Occasion, Row, State
+from construction_twin.gateway.machine import Machine
+from construction_twin.gateway.states import Action, Event, Guard, Mode, Occasion, Row, State
 from construction_twin.mqtt.messages import PROTOCOL, StateProperties
 
 #: States in which nothing is commanded, and the held pose follows what a program of the controller does.
@@ -53,8 +53,6 @@ class Gateway(ArmSide):
         self._stamps = config.properties
         self._silence = round(config.silence * NANOSECONDS)
         self.machine = Machine(
-            ROWS,
-            State.NO_CONTROLLER,
             Sentence("no telegram yet"),
             {
                 Guard.ANSWERS: lambda occasion: "read-only" if self.mode is Mode.READ_ONLY else "",

@@ -166,10 +166,12 @@ CAUSES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Occasion(state_table.Occasion):
+class Occasion:
     """What came with an event.
 
     Attributes:
+        reason: One sentence for people: why the next state is entered.
+        now: When [ns].
         session: Session of the control message; "" where none is involved.
         stamp: Of the command [ns].
         q: Shape (n,). The command's pose [rad].
@@ -178,6 +180,8 @@ class Occasion(state_table.Occasion):
         value: Of the control message.
     """
 
+    reason: str = ""
+    now: int = 0
     session: str = ""
     stamp: int = 0
     q: tuple[float, ...] = ()

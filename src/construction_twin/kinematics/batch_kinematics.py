@@ -89,17 +89,15 @@ class BatchKinematics:
 
     def errors(self, q: np.ndarray, positions: np.ndarray, rotations: np.ndarray) -> np.ndarray:
         """Return the twists from the tip's poses to targets near them, shape (k, 6)."""
-        tip = self._tips(q)
-        return _twists(tip, positions, rotations)
+        return _twists(self._tips(q), positions, rotations)
 
     def newton(
         self, q: np.ndarray, positions: np.ndarray, rotations: np.ndarray, steps: int, pace: np.ndarray | None = None
     ) -> np.ndarray:
-        """Move each joint vector by Newton steps onto its own target pose.
+        """Move each joint vector by Newton steps onto its own target pose; neither ranges nor the remaining error are checked.
 
-        An arm with more joints than a pose needs takes the smallest steps, measured in fractions of the joints' full speeds.
-
-        `pace`, shape (n,), has others; 0: the joint stays. Neither the ranges nor the remaining error is checked.
+        An arm with more joints than a pose needs takes the smallest steps, measured in fractions of the joints' full speeds, or of
+        `pace`, shape (n,): 0, and the joint stays.
         """
         pace = self._pace if pace is None else pace
         for _ in range(steps):

@@ -11,9 +11,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from construction_twin.core.motion_errors import OrientationError, PoseRangeError, PositionRangeError
 from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.kinematics.solution import TURN, Configuration, IkSettings, IkSolution, InverseKinematics
+from construction_twin.kinematics.solution import (
+    TURN,
+    Configuration,
+    IkSettings,
+    IkSolution,
+    InverseKinematics,
+    OrientationError,
+    PoseRangeError,
+    PositionRangeError,
+)
 from construction_twin.robot.description import JointValues
 
 _HALF_TURN = 0.5 * TURN

@@ -20,12 +20,7 @@ from construction_twin.robot.urdf import chain_joints, parse_urdf
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Pose of the tip in the base, ``base_T_tip``.
-
-    Attributes:
-        position: Shape (3,). [m]
-        rotation: Shape (3, 3)
-    """
+    """Pose of the tip in the base, ``base_T_tip``: position, shape (3,) [m], and rotation, shape (3, 3)."""
 
     position: np.ndarray
     rotation: np.ndarray
@@ -83,12 +78,7 @@ class Chain:
         return self._frame
 
     def jacobian(self, q: JointValues) -> np.ndarray:
-        """Return how the tip moves with each joint.
-
-        Returns:
-            Shape (6, n). Column i: velocity of the tip's origin [m] (three rows), then angular velocity [rad] (three rows), in the
-            base's directions, per rad or m of joint i.
-        """
+        """Return how the tip moves with each joint, shape (6, n): velocity, then angular velocity, in the base's directions."""
         self._fill(q)
         self._jacobian.JntToJac(self._q, self._columns)
         columns = self._columns
@@ -113,10 +103,7 @@ class Chain:
 
 
 def to_kdl(joints: Sequence[Joint]) -> PyKDL.Chain:
-    """Convert URDF joints from base to tip to a KDL chain: a segment per joint, named after its child link.
-
-    kdl_parser_py, which would do it, is not in Debian.
-    """
+    """Convert URDF joints to a KDL chain, a segment per joint, named after its child link: Debian has no kdl_parser_py."""
     chain = PyKDL.Chain()
     for joint in joints:
         parent_T_joint = _origin(joint)

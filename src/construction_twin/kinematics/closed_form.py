@@ -13,7 +13,6 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from construction_twin.core.motion_errors import NotFoundError, UnreachableError
 from construction_twin.kinematics.branches import BranchInverse
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.opw import OpwModel
@@ -23,6 +22,8 @@ from construction_twin.kinematics.solution import (
     Configuration,
     IkSettings,
     IkSolution,
+    NotFoundError,
+    UnreachableError,
     check_pose,
     distinct,
     residual,
@@ -259,14 +260,8 @@ class ClosedFormInverse(BranchInverse):
     def _families(self, branch: np.ndarray, pose: Pose, seed: JointValues) -> list[np.ndarray]:
         """Return solutions with axes 4 and 6 in line, one for each choice of whole turns, the nearest to the seed first.
 
-        Args:
-            branch: Shape (6,). [rad]. Used are joints 1 to 3, and whether joint 5 is closer to parallel or to opposed axes 4 and 6.
-            pose: Target ``base_T_tip``.
-            seed: Length 6. [rad]
-
-        Returns:
-            Each of shape (6,). With joints 4 and 6 within their ranges except for rounding, whole turns included; joints 1 to 3
-            unchanged.
+        Joints 4 and 6 are within their ranges but for rounding; of the branch, shape (6,), joints 1 to 3 stay, and joint 5 says
+        whether axes 4 and 6 are parallel or opposed.
         """
         signs, offsets = self.model.signs, self.model.offsets
         theta = np.asarray(signs) * branch - offsets
@@ -347,10 +342,7 @@ class ClosedFormInverse(BranchInverse):
 
 
 def _is_lost(wrist: list[float], margins: Sequence[float]) -> bool:
-    """Return whether a shoulder that reaches the wrist centre has missing branches, which means that the wrist is singular.
-
-    `wrist` is a row of `Branches.wrist`; `margins` are the distances to the edges of the reach [m].
-    """
+    """Return whether a shoulder that reaches the wrist centre has missing branches, which means that the wrist is singular."""
     if not math.isnan(sum(wrist)):
         return False
     for margin, slots in zip(margins, _SIDES):

@@ -15,7 +15,6 @@ from typing import NoReturn
 import numpy as np
 import PyKDL
 
-from construction_twin.core.motion_errors import NotFoundError, UnreachableError
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.kinematics.chain import Chain, Pose, to_frame
 from construction_twin.kinematics.solution import (
@@ -25,6 +24,8 @@ from construction_twin.kinematics.solution import (
     IkSettings,
     IkSolution,
     InverseKinematics,
+    NotFoundError,
+    UnreachableError,
     check_pose,
     pose_error,
     refuse_configuration,
@@ -79,23 +80,12 @@ class NumericInverse(InverseKinematics):
         return ArmKind("search", self._why)
 
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
-        """See `InverseKinematics.nearest`: of the solutions found, until `patience` in a row bring nothing nearer.
-
-        It is not proven to be the nearest that exists: `all` with the same settings may find a nearer one, or miss this one.
-        """
+        """See `InverseKinematics.nearest`: of the solutions found, until `patience` in a row bring nothing nearer."""
         return _Search(self, pose, seed, configuration).nearest()
 
     def all(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> list[IkSolution]:
-        """See `InverseKinematics.all`: those found, until `patience` solved starting points in a row bring nothing new.
-
-        Probably all that exist, but this is not proven. Of a redundant arm also solutions spaced along the self-motions: who has to
-        avoid contacts takes the first that is free.
-        """
+        """See `InverseKinematics.all`: those found, until `patience` solved starting points in a row bring nothing new."""
         return _Search(self, pose, seed, configuration).all()
-
-    def configuration(self, q: JointValues) -> None:
-        """Return None: these arms have no named configurations."""
-        return None
 
     def solve_from(self, start: JointValues, target: PyKDL.Frame) -> np.ndarray:
         """Return where the solver ends from one starting point, shape (n,). Ranges are ignored, and it need not be a solution."""

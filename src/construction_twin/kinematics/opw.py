@@ -100,11 +100,8 @@ def find_opw(chain: Chain) -> OpwModel | str:
     """Decide whether a chain is of the OPW kind.
 
     It is one if it has six revolute joints, axes 2 and 3 are parallel and perpendicular to axes 1 and 4, axes 4, 5 and 6 meet
-    in one point, and each of them is perpendicular to the next. The base and the tip may have any offset.
-
-    Returns:
-        A model, whose forward kinematics agrees with KDL's on seeded random poses; or why it is not of that kind: part of a
-        sentence.
+    in one point, and each of them is perpendicular to the next. Returned is its model, whose forward kinematics agrees with
+    KDL's, or why it is not: part of a sentence.
     """
     if any(chain.robot.linear) or len(chain.robot.linear) != 6:
         revolute = chain.robot.linear.count(False)

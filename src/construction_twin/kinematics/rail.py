@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from construction_twin.core.motion_errors import KinematicsError, UnreachableError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
 from construction_twin.kinematics.numeric import NumericInverse
@@ -26,11 +25,13 @@ from construction_twin.kinematics.solution import (
     Configuration,
     IkSolution,
     InverseKinematics,
+    UnreachableError,
     check_pose,
     distinct,
     spaced,
 )
 from construction_twin.robot.description import JointValues
+from construction_twin.robot.motion_errors import KinematicsError
 from construction_twin.robot.urdf import chain_joints, parse_urdf
 
 #: Spacing of the grid along the axis [m], its fewest steps between two ends of the reach, and parts of what is divided.
@@ -114,7 +115,7 @@ class _Rows(NamedTuple):
 
 
 class _Found(NamedTuple):
-    """What was found: rank, see `_OUT`; branch as in `SLOTS`; joint values of shape (7,)."""
+    """Rank, see `_OUT`; branch as in `SLOTS`; joint values of shape (7,)."""
 
     rank: float
     slot: int
@@ -152,11 +153,7 @@ class RailInverse(InverseKinematics):
         return self._search_or_explain(pose, start, configuration)
 
     def all(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> list[IkSolution]:
-        """See `InverseKinematics.all`: for each branch the nearest position of the carriage, with every choice of whole turns.
-
-        Besides, solutions spaced along the branches, for whoever cannot use the nearest: who has to avoid contacts takes the first
-        that is free.
-        """
+        """See `InverseKinematics.all`: for each branch the nearest position of the carriage, and others spaced along it."""
         start, flange = self._checked(pose, seed)
         rows = self._along(flange, start[0], configuration)
         best, singular = self._divide(flange, rows, start, one=False)

@@ -11,9 +11,95 @@ from typing import NoReturn
 
 import numpy as np
 
-from construction_twin.core.motion_errors import BranchError, KinematicsError
+from construction_twin.core.sentences import Quantity, Sentence, both
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.robot.description import JointValues, RobotModel
+from construction_twin.robot.motion_errors import JointRangeError, KinematicsError
+
+
+class UnreachableError(KinematicsError):
+    """The target lies outside of what the arm reaches, whatever its joint ranges.
+
+    Attributes:
+        missing: How far the target has to move, at least [m], > 0.
+        too_close: Too close to the arm's base to fold the arm to it, not too far away.
+    """
+
+    def __init__(self, missing: float, too_close: bool = False):
+        self.missing, self.too_close = missing, too_close
+        mm = missing * 1e3
+        super().__init__(
+            Sentence("the target is too close to the arm by {mm:g} mm; move it away from the base", mm=mm)
+            if too_close
+            else Sentence("the target is out of the arm's reach by {mm:g} mm; move it closer to the base", mm=mm)
+        )
+
+
+class PoseRangeError(JointRangeError):
+    """The target could be reached, but only with a joint outside its range: of the solution that is out of range by least."""
+
+
+class PositionRangeError(PoseRangeError):
+    """The wrist cannot get where the target needs it within the joint ranges."""
+
+    def _sentence(self, **values: str | Quantity) -> Sentence:
+        return Sentence(
+            "the target's position needs {joint} at {value}, outside its range {lower} to {upper}; move the target",
+            **values,
+        )
+
+
+class OrientationError(PoseRangeError):
+    """The target's position can be reached, but not with its orientation within the joint ranges."""
+
+    def _sentence(self, **values: str | Quantity) -> Sentence:
+        return Sentence(
+            "the target's orientation needs {joint} at {value}, outside its range {lower} to {upper}; turn the target",
+            **values,
+        )
+
+
+class BranchError(KinematicsError):
+    """A configuration of the arm (shoulder, elbow, wrist) is unknown, or does not exist for this arm or target."""
+
+    def __init__(self, asked: str, available: tuple[str, ...], problem: str):
+        self.available = available
+        choose = f"choose one of: {', '.join(available)}" if available else "leave the choice open"
+        super().__init__(f"configuration {asked!r} {problem}; {choose}")
+
+
+class UnreachableOrientationError(KinematicsError):
+    """The target's position can be reached, but not with its orientation, whatever the joint ranges."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            Sentence("the target's position can be reached, but not with its orientation: turn the target")
+        )
+
+
+class NotFoundError(KinematicsError):
+    """No joint solution was found in the time given, which does not prove that there is none.
+
+    Attributes:
+        residual_m, residual_rad: Errors of the best attempt within the ranges; inf without any.
+        hint: What the search saw besides: part of a sentence, or "".
+    """
+
+    def __init__(self, tried: int, budget_s: float, residual_m: float, residual_rad: float, hint: str = ""):
+        self.tried, self.budget_s, self.hint = tried, budget_s, hint
+        self.residual_m, self.residual_rad = residual_m, residual_rad
+        away, turned, best = Quantity(residual_m, "m"), Quantity(residual_rad, "rad"), ""
+        if residual_m < 1e3:
+            best = Sentence("the best attempt was {away:.3} and {turned:.4} away", away=away, turned=turned)
+        super().__init__(
+            Sentence(
+                "no joint solution was found in the time given ({budget:.3g} s, {tried} starts); it may still be reachable: {seen}",
+                budget=budget_s,
+                tried=tried,
+                seen=both(best, hint, Sentence("allow more time or turn the target")),
+            )
+        )
+
 
 #: One turn [rad].
 TURN = 2.0 * math.pi
@@ -114,24 +200,14 @@ class IkSolution:
 
 @dataclass(frozen=True)
 class ArmKind:
-    """How an arm is solved.
-
-    Attributes:
-        name: ``OPW``, ``closed form``, ``OPW on a linear axis`` or ``search``.
-        why: What was found in its geometry: part of a sentence.
-    """
+    """How an arm is solved: ``OPW``, ``closed form``, ``OPW on a linear axis`` or ``search``, and why, as part of a sentence."""
 
     name: str
     why: str
 
 
 class Ranges:
-    """The ranges of n joints, and whole turns: a revolute joint reaches the same pose a turn further, where its range allows it.
-
-    Attributes:
-        lower, upper: Shape (n,). Ends of the ranges.
-        turns: Shape (n,). A whole turn; 0 for a prismatic joint.
-    """
+    """The ranges of n joints, and whole turns, 0 for a prismatic joint: a turn further a joint reaches the same pose."""
 
     def __init__(self, robot: RobotModel):
         self.lower, self.upper = np.array(robot.lower), np.array(robot.upper)
@@ -189,22 +265,11 @@ class InverseKinematics(abc.ABC):
         positions of its division. By search it is the nearest solution found: probably the nearest that exists, but this is not
         proven, and `all` may find a nearer one.
 
+        Distances are Euclidean over all joints, whole turns included. Every error is a KinematicsError that says why there is none.
+
         Args:
             pose: Target ``base_T_tip``.
             seed: Length n. Joint values within the ranges [rad] or [m]: normally the arm's present pose.
-
-        Returns:
-            By Euclidean joint distance, whole turns included.
-
-        Raises:
-            UnreachableError: If the pose is too far or too close, and by how much.
-            PositionRangeError, OrientationError: If it can be reached only with a joint out of range; names the joint and its
-                range.
-            BranchError: If no solution has the configuration asked for, or the arm knows no configurations.
-            UnreachableOrientationError: If its position can be reached, but not with its orientation.
-            NotFoundError: If nothing was found within the budget, which proves nothing.
-            JointRangeError: If the seed is out of range.
-            KinematicsError: If the pose is not finite, or its rotation matrix is not a rotation.
         """
 
     @abc.abstractmethod
@@ -213,15 +278,12 @@ class InverseKinematics(abc.ABC):
 
         Where a pose leaves joints free (a singular pose, or an arm with more than six joints), the list holds one solution of
         each continuous family for every choice of whole turns: the one nearest to the seed. For an arm with more than six joints,
-        it also holds some that are spaced along the families, for whoever cannot use the nearest.
-
-        Returns:
-            At least one, ordered by Euclidean joint distance from the seed.
+        it also holds some that are spaced along the families, for whoever cannot use the nearest. Nearest first.
         """
 
-    @abc.abstractmethod
     def configuration(self, q: JointValues) -> Configuration | None:
         """Return in which configuration joint values are [rad]; None: the arm has no named configurations."""
+        return None
 
     def refuse(self, configuration: Configuration, pose: Pose, seed: JointValues) -> NoReturn:
         """Raise the error that names the configurations that reach a pose, or the reason if none does."""
@@ -371,11 +433,7 @@ def refine(chain: Chain, q: np.ndarray, pose: Pose, steps: int = 8, within: bool
 
 
 def pose_error(reached: Pose, target: Pose) -> np.ndarray:
-    """Return the twist from one pose to another near it.
-
-    Returns:
-        Shape (6,). Translation [m], then rotation vector [rad] (exact to second order in the angle), in the base's directions.
-    """
+    """Return the twist from one pose to another near it, shape (6,): translation, then rotation vector, to second order."""
     # the sum of the cross products of the axes of both; written out, because numpy's takes ten times as long for single vectors
     turn = target.rotation @ reached.rotation.T
     x, y, z = (target.position - reached.position).tolist()

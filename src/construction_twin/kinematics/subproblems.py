@@ -23,7 +23,6 @@ from typing import NoReturn
 import numpy as np
 from eaik.pybindings.EAIK import Robot as Solver
 
-from construction_twin.core.motion_errors import KinematicsError, UnreachableError, UnreachableOrientationError
 from construction_twin.kinematics.axes import TOLERANCE, Axis, joint_axes
 from construction_twin.kinematics.branches import BranchInverse
 from construction_twin.kinematics.chain import Chain, Pose
@@ -32,6 +31,8 @@ from construction_twin.kinematics.solution import (
     ArmKind,
     Configuration,
     IkSolution,
+    UnreachableError,
+    UnreachableOrientationError,
     check_pose,
     distinct,
     refine,
@@ -39,6 +40,7 @@ from construction_twin.kinematics.solution import (
     residual,
 )
 from construction_twin.robot.description import JointValues
+from construction_twin.robot.motion_errors import KinematicsError
 
 #: An arm that misses the properties of a kind by no more than this gets a nominal model of that kind.
 NEAR_M, NEAR_RAD = 5e-3, math.radians(0.3)
@@ -231,10 +233,6 @@ class SubproblemInverse(BranchInverse):
         found = [solution for row in rows for solution in self.turned(np.array(row), pose, start, None)]
         found = self._with_search(found, complete, pose, start, lambda: self._search.all(pose, start))
         return distinct(sorted(found, key=lambda solution: solution.distance))
-
-    def configuration(self, q: JointValues) -> None:
-        """Return None: these arms have no named configurations."""
-        return None
 
     def _start(self, seed: JointValues, configuration: Configuration | None) -> list[float]:
         self.chain.robot.check_range(seed)

@@ -13,7 +13,7 @@ from construction_twin.core.freshness import Moment, is_newer, parse_moment, sta
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.reports import LinkReport, ToolReport
 from construction_twin.core.sentences import Sentence, both
-from construction_twin.core.travel_time import StateCheck
+from construction_twin.core.travel_time import TravelTime
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bare_supervisor import BareSupervisor
@@ -43,7 +43,72 @@ LIMIT_PERIOD, LIMIT_PAUSE = NANOSECONDS // 5, NANOSECONDS // 50
 PLC_HALTED = Sentence(
     "no more strings are sent to the PLC, and the plan is dropped: a lawful PLC brakes on silence; a person arms again, by name"
 )
+#: A sequence number may be this far ahead: one second of states.
+MAX_JUMP = 250
+#: So many messages in a row must follow one that does not fit before it becomes the new reference.
+CONFIRMATIONS = 3
 _NO_PROPERTIES = StateProperties(0, 0, 0)
+
+
+class StateCheck:
+    """Which states of one gateway may be used: numbered in order, and none that was under way for too long.
+
+    A single number or stamp that does not fit changes nothing; a new sequence, or a new clock, is believed after `CONFIRMATIONS` of
+    it in a row.
+
+    Args:
+        max_age: By how much longer than the quickest one of its run a state may travel [s].
+
+    Attributes:
+        lost: States that the sequence numbers say were sent, but never came.
+    """
+
+    def __init__(self, max_age: float):
+        self.lost = 0
+        self._limit = round(max_age * NANOSECONDS)
+        self._travel, self._early = TravelTime(), 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Start over: the gateway said that it is gone, and its clock may be another."""
+        self._last = self._strange = self._followers = 0
+        self._forget_clock()
+
+    def accept(self, seq: int, stamp: int, received: int) -> None:
+        """Take a state by its number, the gateway's stamp and the time of reception, each on its own clock [ns].
+
+        Raises:
+            PayloadError: ``sequence``; ``stale``; ``early``: so much quicker than all others that only further ones like it are
+                believed, because a single wrong stamp must not cause all later states to be refused.
+        """
+        self._accept_number(seq)
+        excess = self._travel.excess(stamp, received)
+        if excess < -self._limit and self._early < CONFIRMATIONS:
+            self._early += 1
+            raise PayloadError("early", f"state travelled {-excess / NANOSECONDS:.3f} s less than the quickest one")
+        self._early = 0
+        self._travel.take(stamp, received)
+        if excess > self._limit:
+            raise PayloadError("stale", f"state is {excess / NANOSECONDS:.3f} s older than the freshest one")
+
+    def _accept_number(self, seq: int) -> None:
+        last = self._last
+        if not last or 0 < seq - last <= MAX_JUMP:
+            self.lost += seq - last - 1 if last else 0
+        else:
+            self._followers = self._followers + 1 if self._strange and seq == self._strange + 1 else 0
+            self._strange = seq
+            if self._followers < CONFIRMATIONS:
+                raise PayloadError("sequence", f"seq {seq} after {last}")
+            if seq < last:
+                self._forget_clock()
+            else:
+                self.lost += seq - last - 1 - CONFIRMATIONS
+        self._last, self._strange = seq, 0
+
+    def _forget_clock(self) -> None:
+        self._travel.restart()
+        self._early = 0
 
 
 class JointStrings:

@@ -23,11 +23,11 @@ from construction_twin.controller.makes import make_of
 from construction_twin.controller.port import ControllerStatus, MockStatus
 from construction_twin.controller.telegram import STAMP_WRAP, Reply, stamp_step
 from construction_twin.core.errors import ConfigurationError, TelegramError
-from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.gripper import SimulatedTool
 from construction_twin.mock.own_motion import EmergencyBrake, Program, ToolSpeedLimit
 from construction_twin.mock.servo import Encoders, Servo
+from construction_twin.robot.motion_errors import JointRangeError
 
 #: The servo is given this long to arrive at the end of a program, and refused replies are over after this long without one [s].
 _SETTLING, _RECOVERY = 1.0, 1.0

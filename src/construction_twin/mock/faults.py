@@ -16,11 +16,11 @@ from functools import partial
 from typing import NamedTuple
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.own_motion import T1_SPEED
 from construction_twin.mock.servo import WithMass
+from construction_twin.robot.motion_errors import JointRangeError
 
 
 class Underway(NamedTuple):

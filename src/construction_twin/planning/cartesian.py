@@ -11,11 +11,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from construction_twin.core.motion_errors import CollisionError, FarWaypointError, JointRangeError, PlanningError
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.kinematics.batch_kinematics import angles_between
@@ -24,13 +24,28 @@ from construction_twin.kinematics.solution import InverseKinematics
 from construction_twin.planning.curves import JointCurve
 from construction_twin.planning.ik_branch import Branch
 from construction_twin.planning.limit_usage import cycle_times
+from construction_twin.planning.recheck import CollisionError
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.timing import WAYPOINT_SPACING, TimedCurve, time_curve
 from construction_twin.planning.tool_path import Piece, ToolPath, ToolWaypoint
 from construction_twin.planning.work_plan import joined
 from construction_twin.robot.description import JointValues
+from construction_twin.robot.motion_errors import JointRangeError, PlanningError
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_world import CollisionWorld
+
+
+class FarWaypointError(PlanningError):
+    """A tool path leads so far beyond the arm's reach, both from its first turning joint [m], that it must be a mistake."""
+
+    def __init__(self, waypoint: int, what: str, distance: float, reach: float):
+        self.distance, self.reach = distance, reach
+        away = f"{distance * 1e3:.0f}" if distance < 1e6 else f"{distance * 1e3:.6g}"
+        super().__init__(
+            f"waypoint {waypoint}: {what} is {away} mm from the arm, which reaches {reach * 1e3:.0f} mm; expected a place "
+            "near the arm, in the frame of the request: are unit and frame right?"
+        )
+
 
 #: Largest deviation of a 4 ms sample from the commanded path.
 DEVIATION_M = 1e-4
@@ -52,12 +67,7 @@ SPEED_ROUNDS = 4
 
 @dataclass(frozen=True, eq=False)
 class CartesianMotion:
-    """A trajectory along a tool path, with measurements on its 4 ms samples.
-
-    Attributes:
-        deviation_m, deviation_rad: Largest distance and angle from the commanded pose.
-        top_speed: Largest speed of the tool [m/s].
-    """
+    """A trajectory along a tool path; on its 4 ms samples the largest deviation from the commanded pose, and speed [m/s]."""
 
     trajectory: Trajectory
     path: ToolPath
@@ -83,11 +93,6 @@ def plan_cartesian(
         world: The motion must be free of contact in it, at every 4 ms sample and between them. Default: nothing is checked.
         speed: Of the tool along the path [m/s]: never exceeded, and reached where the joint limits allow. Default: as fast as the
             limits allow.
-
-    Raises:
-        CartesianPathError: If the path cannot be followed to its end; where, and why.
-        FarWaypointError: If a waypoint, or an arc that leads to one, is more than `FAR` times as far away as the arm reaches.
-        PlanningError: If start, path or an argument is invalid, or the motion would be larger than `bounds`.
     """
     if speed is not None and not 0.0 < speed < math.inf:
         found = Quantity(speed, "m/s")
@@ -99,11 +104,11 @@ def plan_cartesian(
     path = _path_in_reach(chain, chain.forward(q), waypoints)
     bounds.check_tool_path(sum(piece.end - piece.begin for piece in path.pieces if not piece.turn), speed)
     branch = Branch(path, inverse, q)
-    request = _Request(speed_scale, acceleration_scale, bounds)
+    asked = {"speed_scale": speed_scale, "acceleration_scale": acceleration_scale, "bounds": bounds}
     parts = []
     for piece in path.pieces:
         curve = _joint_curve(branch, piece, q)
-        parts.append(_Part.make(branch, piece, curve, math.inf if piece.turn or speed is None else speed, request))
+        parts.append(_Part.make(branch, piece, curve, math.inf if piece.turn or speed is None else speed, asked))
         if world is not None:
             parts[-1].check_free(branch, world)
         q = parts[-1].timed.trajectory.positions[-1]
@@ -137,15 +142,6 @@ def _path_in_reach(chain: Chain, start: Pose, waypoints: Sequence[ToolWaypoint])
     return path
 
 
-@dataclass(frozen=True)
-class _Request:
-    """How fast and how large the motion may be; see `plan_cartesian`."""
-
-    speed_scale: float
-    acceleration_scale: float | None
-    bounds: PlanBounds
-
-
 @dataclass(frozen=True, eq=False)
 class _Part:
     """The motion from one stop to the next, with its 4 ms samples and the measurements on them."""
@@ -158,12 +154,12 @@ class _Part:
     top_speed: float
 
     @classmethod
-    def make(cls, branch: Branch, piece: Piece, curve: JointCurve, speed: float, request: _Request) -> _Part:
-        """Time a piece, with waypoints dense enough for the deviation and slow enough for the tool's speed."""
+    def make(cls, branch: Branch, piece: Piece, curve: JointCurve, speed: float, asked: dict[str, Any]) -> _Part:
+        """Time a piece as asked, with waypoints dense enough for the deviation and slow enough for the tool's speed."""
         top_speed = SPEED_FRACTION * speed
         for spacing in SPACINGS:
             for _ in range(SPEED_ROUNDS):
-                part = cls._measured(branch, piece, _time(branch, piece, curve, top_speed, request, spacing))
+                part = cls._measured(branch, piece, _time(branch, piece, curve, top_speed, spacing, asked))
                 if part.top_speed <= speed:
                     break
                 # within the deviation, the tool's path along the joint curve may be slightly longer than the commanded one
@@ -230,18 +226,10 @@ def _joint_curve(branch: Branch, piece: Piece, q: np.ndarray) -> JointCurve:
 
 
 def _time(
-    branch: Branch, piece: Piece, curve: JointCurve, speed: float, request: _Request, spacing: float
+    branch: Branch, piece: Piece, curve: JointCurve, speed: float, spacing: float, asked: dict[str, Any]
 ) -> TimedCurve:
     try:
-        return time_curve(
-            curve,
-            branch.chain.robot,
-            request.speed_scale,
-            request.acceleration_scale,
-            top_speed=speed,
-            spacing=spacing,
-            bounds=request.bounds,
-        )
+        return time_curve(curve, branch.chain.robot, top_speed=speed, spacing=spacing, **asked)
     except JointRangeError as error:
         # all samples of the curve are in range, but the motion between two of them leaves it
         what = Sentence("{problem}; move the path away from the limit", problem=str(error))

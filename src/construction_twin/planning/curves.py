@@ -22,12 +22,7 @@ from scipy.interpolate import CubicSpline, PPoly
 
 
 class Pieces:
-    """A piecewise polynomial of one value or of a vector, of degree 2 or more.
-
-    Args:
-        knots: Shape (k,). Where the pieces meet, with both ends, ascending.
-        coefficients: Shape (d + 1, k - 1) or (d + 1, k - 1, n). Of the pieces, as those of `PPoly`.
-    """
+    """A piecewise polynomial of one value or of a vector, of degree 2 or more; knots and coefficients as those of `PPoly`."""
 
     def __init__(self, knots: np.ndarray, coefficients: np.ndarray):
         self.knots = knots
@@ -180,12 +175,7 @@ def parameters(points: np.ndarray, pace: np.ndarray) -> np.ndarray:
 
 
 def with_close_corners(points: np.ndarray, pace: np.ndarray, levers: np.ndarray, miss: float) -> np.ndarray:
-    """Add points on the lines beside the corners, so that `rounded` misses no point by more than `miss`.
-
-    Args:
-        levers: Shape (n,). What one unit of each joint moves at most.
-        miss: Sum over the joints of what each misses the point by, times its lever.
-    """
+    """Add points on the lines beside the corners, so that `rounded` misses no point by more, over all joints with their levers."""
     spans, at = _spans(points, pace), parameters(points, pace)
     turns = np.abs(np.diff(np.diff(points, axis=0) / spans[:, None], axis=0)) @ levers
     wide = 0.5 * np.minimum(spans[:-1], spans[1:]) * turns > 6.0 * miss

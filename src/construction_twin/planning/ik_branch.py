@@ -9,20 +9,47 @@ from __future__ import annotations
 import numpy as np
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.motion_errors import (
-    CartesianPathError,
-    JointRangeError,
-    KinematicsError,
+from construction_twin.core.sentences import Quantity, Sentence
+from construction_twin.kinematics.batch_kinematics import BatchKinematics
+from construction_twin.kinematics.chain import Pose
+from construction_twin.kinematics.solution import (
+    InverseKinematics,
     NotFoundError,
     PoseRangeError,
     UnreachableError,
     UnreachableOrientationError,
+    pose_error,
 )
-from construction_twin.core.sentences import Sentence
-from construction_twin.kinematics.batch_kinematics import BatchKinematics
-from construction_twin.kinematics.chain import Pose
-from construction_twin.kinematics.solution import InverseKinematics, pose_error
 from construction_twin.planning.tool_path import ToolPath
+from construction_twin.robot.motion_errors import JointRangeError, KinematicsError, PlanningError
+
+
+class CartesianPathError(PlanningError):
+    """The tool cannot follow its path to the end.
+
+    Attributes:
+        reason: ``joint limit``, ``singularity``, ``flip``, ``unreachable``, ``not found``, ``collision`` or ``deviation``.
+        fraction, distance: How far it can be followed: fraction of the path's length, and metres (see `tool_path.TURN_LENGTH` for
+            turns).
+        waypoint: Number of the waypoint that the tool was going to, from 0.
+        cause: The error behind it, with its own data: which joint, which pair, by how much.
+    """
+
+    def __init__(
+        self, reason: str, fraction: float, distance: float, waypoint: int, what: str, cause: Exception | None = None
+    ):
+        self.reason, self.cause = reason, cause
+        self.fraction, self.distance, self.waypoint = fraction, distance, waypoint
+        super().__init__(
+            Sentence(
+                "the path ends {distance:.1} along, on the way to waypoint {waypoint} (fraction {fraction:.4f}): {what}",
+                distance=Quantity(distance, "m"),
+                waypoint=waypoint,
+                fraction=fraction,
+                what=what,
+            )
+        )
+
 
 #: Smallest allowed singular value of the scaled Jacobian. Near a singular wrist it is about sin(A5) / sqrt(2): 0.007 is reached
 #: with A5 at 0.6 deg.
@@ -63,11 +90,7 @@ class Branch:
             raise self._singular(0.0, start)
 
     def walk(self, start: np.ndarray, s: np.ndarray) -> np.ndarray:
-        """Follow the path from a joint vector over places, shape (m,), ascending [m]; CartesianPathError where the branch ends.
-
-        Returns:
-            Shape (m, n)
-        """
+        """Follow the path from a joint vector over places, shape (m,), ascending [m]; CartesianPathError where the branch ends."""
         targets = [Pose(*target) for target in zip(*self.path.poses(s))]
         done = np.asarray(start)[None]
         while len(done) < len(s):

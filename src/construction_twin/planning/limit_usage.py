@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.core.units import CYCLE
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.motion_errors import JointRangeError
 from construction_twin.robot.plan import LimitUsage
 from construction_twin.robot.trajectory import Trajectory
 
@@ -28,13 +28,7 @@ SAME_POINT = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class SampledUsage:
-    """A trajectory's use of the limits at its 4 ms samples; 1 is exactly at the limit.
-
-    Attributes:
-        times: Shape (m,). See `cycle_times` [s].
-        positions: Shape (m, n). [rad] or [m]
-        velocity, acceleration, jerk: Shape (m, n). Fractions of each joint's limit.
-    """
+    """A trajectory's use of the limits at `cycle_times`, as fractions of each joint's limit: arrays of shape (m, n)."""
 
     trajectory: Trajectory
     times: np.ndarray
@@ -52,10 +46,7 @@ class SampledUsage:
 
 
 def cycle_times(trajectory: Trajectory) -> np.ndarray:
-    """Return the times of a trajectory's 4 ms samples [s], from 0 until it rests.
-
-    The two samples after its end are included, because the differences over them contain the last step.
-    """
+    """Return the times of a trajectory's 4 ms samples [s], with two after its end, whose differences contain the last step."""
     return np.arange(0.0, trajectory.duration + 2.0 * CYCLE, CYCLE)
 
 

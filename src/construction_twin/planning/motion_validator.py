@@ -23,9 +23,7 @@ CORNERS_TIGHTENED = 24
 class MotionValidator:
     """Whether the arm can go straight from one joint vector to another without touching anything.
 
-    Args:
-        levers: Shape (n,). As from `CollisionWorld.levers`.
-        step: Largest distance that any point of the arm, its tool and what it carries moves between two states [m].
+    `step`: Largest distance that any point of the arm, its tool and what it carries moves between two states [m].
     """
 
     def __init__(self, world: CollisionWorld, levers: np.ndarray, step: float):

@@ -16,8 +16,25 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
-from construction_twin.core.motion_errors import NoPathError
+from construction_twin.core.sentences import Sentence
 from construction_twin.planning.motion_validator import MotionValidator
+from construction_twin.planning.request_limits import distinct
+from construction_twin.robot.motion_errors import PlanningError
+
+
+class NoPathError(PlanningError):
+    """The planner found no path in its time budget [s]."""
+
+    def __init__(self, planner: str, budget: float):
+        self.planner, self.budget = planner, budget
+        super().__init__(
+            Sentence(
+                "{planner} found no path within {budget:.3g} s; allow more time or choose another goal",
+                planner=planner,
+                budget=budget,
+            )
+        )
+
 
 #: Distance of the points between which shortcuts are tried: shorter costs more checks and gains little.
 SPACING = 0.7
@@ -52,15 +69,9 @@ FirstFree = Callable[[np.ndarray, np.ndarray], int | None]
 
 
 def shortened(path: np.ndarray, first_free: FirstFree) -> np.ndarray:
-    """Return a path from the same start to the same goal that is no longer, by the shortcuts that gain most first.
+    """Return a path with the same ends that is no longer, by the shortcuts that gain most first, until nothing is gained.
 
-    Nothing is drawn by chance, and it ends when nothing is gained any more: the result is the same on every machine.
-
-    Args:
-        path: Shape (m, n). m >= 2; successive points differ, and the edges between them are free.
-
-    Returns:
-        Shape (k, n). Both ends to the last bit; every edge is a part of a given one or was found free.
+    Nothing is drawn by chance. Every edge is a part of a given one, which are free, or was found free.
     """
     points = _divided(path)
     while True:
@@ -114,8 +125,6 @@ def _corners(points: np.ndarray) -> np.ndarray:
 
 #: The search itself checks motions with a step so many times as long as what is asked of its path.
 COARSER = 4.0
-#: Points closer than this are one [rad] or [m], per joint.
-SAME_POINT = 1e-9
 
 
 def ompl_planners() -> dict[str, type]:
@@ -152,14 +161,9 @@ class OmplSearch:
         self._kind = ompl_planners()[name]
 
     def find(self, query: PathQuery, budget: float) -> np.ndarray:
-        """Find a path from the start to one of the goals, or raise NoPathError.
+        """Find a path from the start to one of the goals, shape (m, n), or raise NoPathError after a budget on OMPL's clock [s].
 
-        Args:
-            budget: Of OMPL's own clock [s]; shortening comes on top.
-
-        Returns:
-            Shape (m, n). At least two points, none like the one before; the first is the start and the last a goal, both to the
-            last bit. The straight edges between them are free by the query's validator.
+        No point is like the one before, both ends are exact, and the edges between are free by the query's validator.
         """
         # most edges of a search are in no path: they are checked coarsely first, and the path that comes of them as asked
         for times in (COARSER, 1.0):
@@ -185,14 +189,10 @@ class OmplSearch:
             raise NoPathError(self.name, budget)
         joints = range(len(query.start))
         found = problem.getSolutionPath().getStates()
-        return _without_repeats(np.array([_values(state, joints) for state in found]))
-
-
-def _without_repeats(points: np.ndarray) -> np.ndarray:
-    apart = np.max(np.abs(np.diff(points, axis=0)), axis=1) > SAME_POINT
-    kept = points[np.concatenate(([True], apart))]
-    kept[-1] = points[-1]
-    return kept
+        points = np.array([_values(state, joints) for state in found])
+        path = points[distinct(points)]
+        path[-1] = points[-1]
+        return path
 
 
 def _space_information(query: PathQuery, validator: MotionValidator) -> ob.SpaceInformation:

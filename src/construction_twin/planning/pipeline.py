@@ -14,15 +14,6 @@ import numpy as np
 from scipy.interpolate import BPoly, PPoly
 
 from construction_twin.core.clock import MONOTONIC, Clock
-from construction_twin.core.motion_errors import (
-    CollisionError,
-    NoSceneError,
-    PlanningError,
-    RetimedCollisionError,
-    SceneChangedError,
-    SceneError,
-    WaypointTimesError,
-)
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import InverseKinematics, inverse_kinematics
@@ -30,15 +21,16 @@ from construction_twin.planning.cartesian import plan_cartesian
 from construction_twin.planning.curves import JointCurve
 from construction_twin.planning.limit_usage import SAME_POINT, sampled_usage
 from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
-from construction_twin.planning.recheck import recheck
+from construction_twin.planning.recheck import CollisionError, recheck
 from construction_twin.planning.request_limits import distinct
 from construction_twin.planning.timing import TimedPath, time_curve, time_path
 from construction_twin.planning.tool_path import ToolWaypoint
-from construction_twin.planning.waypoints import Waypoints, asked_path, plan_waypoints, time_asked
+from construction_twin.planning.waypoints import Waypoints, WaypointTimesError, asked_path, plan_waypoints, time_asked
 from construction_twin.planning.work_plan import joined, plan_work
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.executed_path import LARGEST_ENTRY, WAY_BACK_TOLERANCE, ExecutedPath
+from construction_twin.robot.motion_errors import PlanningError, SceneError
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.segments import Signal
 from construction_twin.robot.trajectory import Trajectory
@@ -46,6 +38,50 @@ from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import SelfCollision, sample_self_collision
+
+
+class RetimedCollisionError(CollisionError):
+    """A motion whose times were replaced touches something; `where` names points of the sender, who knows no others."""
+
+    def __init__(self, between: tuple[str, str], where: str, why: str, lines_free: bool):
+        self.why, self.lines_free = why, lines_free
+        super().__init__(between, where)
+
+    def _sentence(self, **values: str) -> Sentence:
+        values["why"] = self.why
+        if self.lines_free:
+            return Sentence(
+                "{first} touches {second} ({where}), or comes closer than the padding, although the straight lines between the "
+                "points are free; use more points there. The motion was timed anew, because {why}",
+                **values,
+            )
+        return Sentence(
+            "{first} touches {second} ({where}, on the straight line), or comes closer than the padding; choose another way. "
+            "The times are not the reason: the motion was timed anew, because {why}",
+            **values,
+        )
+
+
+class NoSceneError(PlanningError):
+    """It is not known what surrounds the arm, so nothing can be planned."""
+
+    def __init__(self, source: str):
+        super().__init__(
+            Sentence("no scene was received on {source}; the scene node is not running, start it", source=source)
+            if source
+            else "there is no scene; give the pipeline one with set_scene, an empty one where nothing stands near the arm"
+        )
+
+
+class SceneChangedError(PlanningError):
+    """The scene is another one than the one that was planned in."""
+
+    def __init__(self, planned: str, present: str):
+        before, now = planned[:8], present[:8]
+        super().__init__(
+            Sentence("the scene changed while planning, from {before} to {now}; ask again", before=before, now=now)
+        )
+
 
 #: Name of the planner in the plan, and of its one segment.
 WAY_BACK = "way back"
@@ -95,11 +131,7 @@ def _reversed(trajectory: Trajectory, begin: float, robot: RobotModel) -> Trajec
 
 
 class PlanningPipeline:
-    """Plans motions of one robot in the latest scene.
-
-    Every method that returns a plan raises, besides what it names: `NoSceneError` without a scene, `SceneError` if the
-    scene cannot be used with this robot, `SceneChangedError` if another scene arrived while planning, `LimitError` and
-    `CollisionError` if a 4 ms sample of the result is outside a limit, or something touches, at a sample or between two.
+    """Plans motions of one robot in the latest scene; PlanningError and SceneError say why there is no plan.
 
     Args:
         solver: Default: the one that fits the robot.

@@ -16,18 +16,18 @@ import yaml
 
 from construction_twin.core.clock import Clock
 from construction_twin.core.freshness import Moment
-from construction_twin.core.motion_errors import CollisionError, NoPathError, PlanningError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import Configuration, InverseKinematics
 from construction_twin.planning.curves import parameters, with_close_corners
 from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
-from construction_twin.planning.ompl_search import OmplSearch, PathQuery, ompl_planners
-from construction_twin.planning.recheck import recheck
+from construction_twin.planning.ompl_search import NoPathError, OmplSearch, PathQuery, ompl_planners
+from construction_twin.planning.recheck import CollisionError, recheck
 from construction_twin.planning.request_limits import PlanBounds, check_request
 from construction_twin.planning.timing import timed_path, with_midpoints
 from construction_twin.robot.description import JointValues, RobotModel
+from construction_twin.robot.motion_errors import PlanningError
 from construction_twin.robot.plan import Plan, PlanReport, content_hash
 from construction_twin.robot.segments import Segment
 from construction_twin.robot.trajectory import Trajectory
@@ -151,14 +151,7 @@ class Planner:
     def plan_to_joints(
         self, start: JointValues, goal: JointValues, request: PlanRequest, world: CollisionWorld
     ) -> Plan:
-        """Plan a motion between two joint vectors, length n [rad] or [m].
-
-        Raises:
-            CollisionError: If start or goal touches something, and what.
-            NoPathError: If none was found within the budget.
-            DurationError: If the requested duration is shorter than the limits allow.
-            PlanningError: If an end is out of range, the plan would be too large, or the request does not make sense.
-        """
+        """Plan a motion between two joint vectors, length n [rad] or [m]; PlanningError says why there is none."""
         began = self._clock()
         begin, end = self._joint_vector("start", start), self._joint_vector("goal", goal)
         self._check_request(request)
@@ -172,14 +165,9 @@ class Planner:
         """Plan a motion that brings the robot's tip to a pose in its base frame.
 
         Every joint solution of the pose is a goal: straight motions to them are tried first, the nearest before the
-        others; a search is given the nearest ones that are free.
+        others; a search is given the nearest ones that are free. KinematicsError where it cannot be reached.
 
-        Args:
-            configuration: Only joint solutions of this configuration, see `Configuration.parse`. Default: all.
-
-        Raises:
-            KinematicsError: If the pose cannot be reached within the ranges, or start is out of range.
-            CollisionError: If the start, or every solution of the goal, touches something; of the goal the nearest one's pair.
+        `configuration`: Only joint solutions of this one, see `Configuration.parse`.
         """
         began = self._clock()
         begin = self._joint_vector("start", start)

@@ -16,13 +16,54 @@ from collections.abc import Callable
 
 import numpy as np
 
-from construction_twin.core.motion_errors import CollisionError, LimitError
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.planning.limit_usage import SampledUsage, range_excess, sampled_usage
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.motion_errors import PlanningError
 from construction_twin.robot.plan import LimitUsage, PlanReport
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_world import CollisionWorld
+
+
+class CollisionError(PlanningError):
+    """Two bodies that must not touch do.
+
+    Attributes:
+        between: Their names: a link or a carried object first, then a link or an object of the scene.
+        time: In a motion [s].
+    """
+
+    def __init__(self, between: tuple[str, str], where: str, time: float | None = None):
+        self.between = tuple(between)
+        self.where, self.time = where, time
+        first, second = between
+        super().__init__(self._sentence(first=first, second=second, where=where))
+
+    def _sentence(self, **values: str) -> Sentence:
+        return Sentence(
+            "{first} touches {second} ({where}), or comes closer than the padding; expected no contact, "
+            "choose another pose or change the scene",
+            **values,
+        )
+
+
+class LimitError(PlanningError):
+    """A motion breaks a limit of position, velocity, acceleration or jerk; of a position `limit` is the end of the range."""
+
+    def __init__(self, where: str, joint: str, quantity: str, value: float, limit: float, linear: bool = False):
+        self.where, self.joint, self.quantity, self.value, self.limit = where, joint, quantity, value, limit
+        unit = ("m" if linear else "rad") + {"velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}.get(quantity, "")
+        super().__init__(
+            Sentence(
+                "{where}: {joint} has a {quantity} of {value}; its limit is {limit}; plan again",
+                where=where,
+                joint=joint,
+                quantity=quantity,
+                value=Quantity(value, unit),
+                limit=Quantity(limit, unit),
+            )
+        )
+
 
 #: Rounding allowed on a fraction of a limit.
 ROUNDING = 1e-6
@@ -38,13 +79,10 @@ def recheck(
 ) -> PlanReport:
     """Check and measure a trajectory: its limits at every 4 ms sample, its contacts and clearance also between two samples.
 
-    Args:
-        clock: Returns seconds from any fixed origin; measures `PlanReport.recheck_time`.
-        sampled: What `sampled_usage` found of this very trajectory; of another one it is not used. Default: it is measured here.
+    `sampled`: What `sampled_usage` found of this very trajectory; of another one it is not used.
 
     Raises:
-        LimitError: If a sample is outside the range or a limit.
-        CollisionError: If something touches, at a sample or between two; `where` says when.
+        LimitError, CollisionError: At a sample, or between two; the sentence says when.
     """
     began = clock()
     if sampled is None or sampled.trajectory is not trajectory:

@@ -10,10 +10,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from construction_twin.core.motion_errors import PlanningError, PlanSizeError, TrajectoryError
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.planning.limit_usage import SAME_POINT
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.motion_errors import PlanningError, TrajectoryError
+
+
+class PlanSizeError(PlanningError):
+    """A plan would be larger than this planner makes.
+
+    Attributes:
+        quantity: ``duration`` [s], ``waypoints`` or ``length`` of the tool's path [m].
+    """
+
+    _OF = {
+        "duration": ("duration", "ask for a faster or shorter motion"),
+        "waypoints": ("waypoints", "ask for fewer, or for a faster or shorter motion"),
+        "length": ("length of the tool's path", "divide it into several"),
+    }
+
+    def __init__(self, quantity: str, value: float, limit: float):
+        self.quantity, self.value, self.limit = quantity, value, limit
+        what, to_do = self._OF[quantity]
+        found, most = (
+            f"{Quantity(number, 'm')}" if quantity == "length" else f"{number:g}{' s' * (quantity == 'duration')}"
+            for number in (value, limit)
+        )
+        super().__init__(f"the plan's {what} would be {found}; this planner takes at most {most}, {to_do}")
+
 
 #: A tool covers less than this from one waypoint of a trajectory to the next [m]: 2.5 m/s at the usual 20 ms.
 TOOL_STEP = 0.05

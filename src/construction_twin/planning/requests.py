@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.motion_errors import CartesianPathError
+from construction_twin.planning.ik_branch import CartesianPathError
 from construction_twin.planning.planner import PlanRequest
 from construction_twin.robot.plan import Plan
 from construction_twin.scene.scene_change import SceneChange

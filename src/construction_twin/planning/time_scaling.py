@@ -17,10 +17,10 @@ from types import ModuleType
 
 import numpy as np
 
-from construction_twin.core.motion_errors import PlanningError
 from construction_twin.core.sentences import Sentence
 from construction_twin.planning.curves import JointCurve, Pieces
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.motion_errors import PlanningError
 
 #: `import toppra` imports matplotlib's pyplot, which nothing here asks for: a quarter of a second in each process that plans or
 #: checks a plan. While it is imported two empty modules stand where pyplot would be; whoever draws later imports the real ones.
@@ -104,10 +104,7 @@ class TimeScaling:
 class RestToRest:
     """The fastest motion over a distance from rest to rest within limits of velocity, acceleration and jerk.
 
-    It is the velocity trapezoid with `acceleration`, smoothed by a moving average over `window`.
-
-    Attributes:
-        distance, velocity, acceleration, window: `velocity` and `acceleration` are the values reached, at most the limits.
+    It is the trapezoid of the velocity and acceleration that are reached, smoothed by a moving average over `window` [s].
     """
 
     distance: float
@@ -160,11 +157,7 @@ def straight_time_scaling(curve: JointCurve, limits: TimeScalingLimits, top_spee
 
 
 class TimeScalingSearch:
-    """Finds the time scaling of one curve, repeatedly with less speed where the last one was too fast.
-
-    Raises:
-        PlanningError: From `find`, if no motion is within the limits.
-    """
+    """Finds the time scaling of one curve, repeatedly with less speed where the last one was too fast."""
 
     def __init__(self, curve: JointCurve, limits: TimeScalingLimits, top_speed: float = math.inf):
         self._limits, self._jerk = limits, JERK_FRACTION * limits.jerk

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from construction_twin.core.motion_errors import DurationError, JointRangeError, PlanningError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.planning.curves import JointCurve, interpolated, monotone, parameters, rounded
@@ -27,7 +26,19 @@ from construction_twin.planning.time_scaling import (
     straight_time_scaling,
 )
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.motion_errors import JointRangeError, PlanningError
 from construction_twin.robot.trajectory import Trajectory, whole_nanoseconds
+
+
+class DurationError(PlanningError):
+    """The requested duration is shorter than the limits allow [s]."""
+
+    def __init__(self, requested: float, minimum: float):
+        self.requested, self.minimum = requested, minimum
+        super().__init__(
+            f"a duration of {requested:.3f} s breaks the joint limits; the shortest possible is {minimum:.3f} s"
+        )
+
 
 #: Fractions of the velocity and acceleration limits that a plan uses. The remainder covers what happens to the setpoints after
 #: planning, where they are checked against the full limits: the gateway interpolates between setpoints on the grid of another
@@ -101,9 +112,8 @@ def timed_path(
             `corner_fraction` from where it is nearest to one to where it is nearest to the next.
 
     Raises:
-        DurationError: If `duration` is shorter than the limits allow.
         JointRangeError: If a point is out of range, or the motion between few waypoints leaves the range.
-        PlanningError: If another argument is invalid, the path cannot be timed, or the motion would be larger than `bounds`.
+        PlanningError: If an argument is invalid, the path cannot be timed, or the motion would be larger than `bounds`.
     """
     acceleration_scale = speed_scale if acceleration_scale is None else acceleration_scale
     check_request(duration, speed_scale, acceleration_scale, waypoints, corner_fraction)
@@ -268,8 +278,7 @@ class _Request:
     def _slowed(
         self, curve: JointCurve, scaling: TimeScaling, ends: np.ndarray, least: float, count: int | None = None
     ) -> TimedCurve:
-        """Slow a motion by the smallest factor (at least 1 and `least`, to `STRETCH_STEP`) that brings it into the
-        limits.
+        """Slow a motion by the smallest factor (at least 1 and `least`, to `STRETCH_STEP`) that brings it into the limits.
 
         Args:
             count: Of the waypoints that `least` was found with: with as many, it is enough for what is between the samples.

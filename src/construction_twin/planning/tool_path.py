@@ -17,9 +17,9 @@ import numpy as np
 from scipy.interpolate import BPoly, CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
-from construction_twin.core.motion_errors import PlanningError
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.motion_errors import PlanningError
 
 #: Path length assigned to a turn on the spot [m/rad].
 TURN_LENGTH = 0.1
@@ -231,49 +231,20 @@ def _cells(length: float, angle: float) -> int:
     return max(_FEWEST_CELLS, math.ceil(length / _CELL_M), math.ceil(angle / _CELL_RAD))
 
 
-@dataclass(frozen=True)
-class _Leg:
-    """A whole segment, and the index of the waypoint that it leads to."""
-
-    waypoint: int
-    segment: Leg
-
-
-@dataclass(frozen=True)
-class _Mark:
-    """The index of a waypoint, and of the segment that ends there (the blend, if there is one)."""
-
-    waypoint: int
-    segment: int
-
-
-@dataclass(frozen=True)
-class _Trimmed:
-    """Segments with their blends, the indices of those after which the tool stops, and where the waypoints are."""
-
-    segments: list[Segment]
-    stops: list[int]
-    marks: list[_Mark]
-
-
 class ToolPath:
-    """A checked tool path, of `length` [m] with turns on the spot counted by `TURN_LENGTH`.
-
-    Raises:
-        PlanningError: If no waypoint differs from the start, an arc has no circle, or a blend does not fit; names the waypoint.
-    """
+    """A checked tool path, `length` [m] long with turns by `TURN_LENGTH`; PlanningError names a wrong waypoint."""
 
     def __init__(self, start: Pose, waypoints: Sequence[ToolWaypoint]):
         legs = _legs(start, waypoints)
         if not legs:
             raise PlanningError(Sentence("the tool is already there: no waypoint differs from the start"))
-        trimmed = _trimmed(legs, waypoints)
-        self._segments, self._marks = trimmed.segments, trimmed.marks
+        self._segments, stops, marks = _trimmed(legs, waypoints)
+        self._numbers = [number for number, _ in marks]
         self._ends = np.cumsum([segment.length for segment in self._segments])
         self._begins = np.concatenate(([0.0], self._ends[:-1]))
         self.length = float(self._ends[-1])
-        self._waypoint_ends = [self._ends[mark.segment] for mark in self._marks]
-        bounds = [0, *(index + 1 for index in trimmed.stops)]
+        self._waypoint_ends = [self._ends[last] for _, last in marks]
+        bounds = [0, *(index + 1 for index in stops)]
         self.pieces = tuple(self._piece(first, last) for first, last in pairwise(bounds))
 
     def poses(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -308,14 +279,14 @@ class ToolPath:
 
     def waypoint_at(self, s: float) -> int:
         """Return the number of the waypoint, from 0, that the tool is going to at `s` [m]."""
-        return self._marks[self._next(s)].waypoint
+        return self._numbers[self._next(s)]
 
     def waypoint_end(self, s: float) -> float:
         """Return the position along the path of the waypoint that the tool is going to at `s` [m]; the end of its blend, if any."""
         return float(self._waypoint_ends[self._next(s)])
 
     def _next(self, s: float) -> int:
-        return min(int(np.searchsorted(self._waypoint_ends, s)), len(self._marks) - 1)
+        return min(int(np.searchsorted(self._waypoint_ends, s)), len(self._numbers) - 1)
 
     def _piece(self, first: int, last: int) -> Piece:
         segments = self._segments[first:last]
@@ -324,9 +295,9 @@ class ToolPath:
         return Piece(knots[0], knots[-1], isinstance(segments[0], Leg) and segments[0].turns, knots, cells)
 
 
-def _legs(start: Pose, waypoints: Sequence[ToolWaypoint]) -> list[_Leg]:
-    """Return the segments before blending; a waypoint at the pose before it has none."""
-    legs: list[_Leg] = []
+def _legs(start: Pose, waypoints: Sequence[ToolWaypoint]) -> list[tuple[int, Leg]]:
+    """Return the segments before blending, by the index of their waypoint; one at the pose before it has none."""
+    legs: list[tuple[int, Leg]] = []
     at = start
     for number, waypoint in enumerate(waypoints):
         if not (0.0 <= waypoint.blend < math.inf):
@@ -334,7 +305,7 @@ def _legs(start: Pose, waypoints: Sequence[ToolWaypoint]) -> list[_Leg]:
             raise PlanningError(f"waypoint {number}: the blend is {blend}; expected 0 or a positive number")
         leg = _leg(number, at, waypoint)
         if leg is not None:
-            legs.append(_Leg(number, leg))
+            legs.append((number, leg))
             at = waypoint.pose
     return legs
 
@@ -358,38 +329,41 @@ def _leg(number: int, start: Pose, waypoint: ToolWaypoint) -> Leg | None:
     return Leg.on_the_spot(goal.position, first, turn, TURN_LENGTH * angle) if angle > SAME_PLACE else None
 
 
-def _trimmed(legs: list[_Leg], waypoints: Sequence[ToolWaypoint]) -> _Trimmed:
-    """Cut the legs where they are blended, and insert the blends."""
+def _trimmed(
+    legs: list[tuple[int, Leg]], waypoints: Sequence[ToolWaypoint]
+) -> tuple[list[Segment], list[int], list[tuple[int, int]]]:
+    """Cut the legs where they are blended, and insert the blends.
+
+    Returns:
+        Segments, the indices of those after which the tool stops, and of each waypoint with the segment that ends there.
+    """
     cuts = [0.0] * (len(legs) + 1)
-    for index in range(len(legs) - 1):
-        number, leg = legs[index].waypoint, legs[index].segment
+    for index, ((number, leg), (_, following)) in enumerate(pairwise(legs)):
         cuts[index + 1] = waypoints[number].blend
-        if cuts[index + 1] and (leg.turns or legs[index + 1].segment.turns):
+        if cuts[index + 1] and (leg.turns or following.turns):
             raise PlanningError(f"waypoint {number}: a turn on the spot has no corner to blend; expected blend 0")
-    for index, one in enumerate(legs):
-        number, leg = one.waypoint, one.segment
+    for index, (number, leg) in enumerate(legs):
         if cuts[index] + cuts[index + 1] > leg.length * (1.0 + 1e-9):
             length, needed = Quantity(leg.length, "m"), Quantity(cuts[index] + cuts[index + 1], "m")
             found = f"the segment to waypoint {number} is {length} long; its blends need {needed}, choose smaller ones"
             raise PlanningError(found)
     segments: list[Segment] = []
     stops: list[int] = []
-    marks: list[_Mark] = []
-    for index, one in enumerate(legs):
-        number, leg = one.waypoint, one.segment
+    marks: list[tuple[int, int]] = []
+    for index, (number, leg) in enumerate(legs):
         trimmed = leg.part(cuts[index], leg.length - cuts[index + 1])
         if trimmed is not None:
             segments.append(trimmed)
         last = index == len(legs) - 1
         if cuts[index + 1]:
-            blend = Blend.between(leg, legs[index + 1].segment, cuts[index + 1])
+            blend = Blend.between(leg, legs[index + 1][1], cuts[index + 1])
             if blend is None:
                 raise PlanningError(f"waypoint {number}: the path turns back there; expected blend 0")
             segments.append(blend)
-        marks.append(_Mark(number, len(segments) - 1))
-        if last or (not cuts[index + 1] and not _goes_on(leg, legs[index + 1].segment)):
+        marks.append((number, len(segments) - 1))
+        if last or (not cuts[index + 1] and not _goes_on(leg, legs[index + 1][1])):
             stops.append(len(segments) - 1)
-    return _Trimmed(segments, stops, marks)
+    return segments, stops, marks
 
 
 def _goes_on(leg: Leg, following: Leg) -> bool:

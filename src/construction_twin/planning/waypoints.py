@@ -14,13 +14,33 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from construction_twin.core.motion_errors import TrajectoryError, WaypointsError, WaypointTimesError
 from construction_twin.core.sentences import Sentence
 from construction_twin.planning.limit_usage import range_excess, sampled_usage
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.timing import TimedPath, time_path, timed_path
 from construction_twin.robot.description import JointValues, RobotModel
+from construction_twin.robot.motion_errors import PlanningError, TrajectoryError
 from construction_twin.robot.trajectory import Trajectory
+
+
+class WaypointsError(PlanningError):
+    """Waypoints from elsewhere cannot be used.
+
+    Attributes:
+        row, joint: Line of the file, or number of the point in a message (from 0); None and "" when no single one is at fault.
+        value, limit: What was found, and the limit it breaks, in SI.
+    """
+
+    def __init__(
+        self, message: str, row: int | None = None, joint: str = "", value: object = None, limit: float | None = None
+    ):
+        self.row, self.joint, self.value, self.limit = row, joint, value, limit
+        super().__init__(message)
+
+
+class WaypointTimesError(WaypointsError):
+    """The times of waypoints ask for more than the arm may do; through the same points it could move at another pace."""
+
 
 #: Largest difference of the first waypoint from the arm's pose, which then replaces the first waypoint.
 START_TOLERANCE_RAD = math.radians(0.05)
@@ -98,9 +118,6 @@ def from_points(
         positions: Per point, in the order of `joint_names` [rad] or [m].
         velocities, accelerations: The same; None or all empty: not given.
         times: [s]; None or all 0: not given.
-
-    Raises:
-        WaypointsError: If names or counts do not fit, or a value is not finite.
     """
     if sorted(joint_names) != sorted(robot.joint_names):
         found, joints = ", ".join(joint_names), ", ".join(robot.joint_names)
@@ -169,8 +186,7 @@ def plan_waypoints(
             its time is how long the motion takes.
 
     Raises:
-        WaypointsError: Naming row, joint, value and limit: out of range, too far from the present pose, times that do not increase,
-            not at rest at an end, too fast.
+        WaypointsError: Naming row, joint, value and limit.
         PlanningError: If waypoints without times cannot be timed, or the motion would be larger than `bounds`.
     """
     waypoints = _from_here(waypoints, present, robot, bounds)

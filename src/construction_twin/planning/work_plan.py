@@ -14,22 +14,33 @@ from contextlib import contextmanager
 import numpy as np
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.motion_errors import CollisionError, PlanningError, SegmentError, TrajectoryError
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.planning.limit_usage import SAME_POINT
 from construction_twin.planning.planner import PlanRequest
-from construction_twin.planning.recheck import check_limits, recheck
+from construction_twin.planning.recheck import CollisionError, check_limits, recheck
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.waypoints import AT_REST, START_TOLERANCE_M, START_TOLERANCE_RAD
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import JointValues, RobotModel
+from construction_twin.robot.motion_errors import PlanningError, TrajectoryError
 from construction_twin.robot.plan import LimitUsage, Plan, PlanReport
 from construction_twin.robot.segments import Segment, Signal
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.same_space import fills_same_space
 from construction_twin.scene.scene_change import SceneChange
+
+
+class SegmentError(PlanningError):
+    """A segment of a work plan cannot be used, and so neither can the plan."""
+
+    def __init__(self, number: int, name: str, cause: ConstructionTwinError):
+        self.number, self.name, self.cause = number, name, cause
+        super().__init__(
+            Sentence("segment {number} ({name}): {cause}", number=number, name=repr(name[:80]), cause=str(cause))
+        )
+
 
 #: Name of the planner in a work plan.
 WORK = "work"
@@ -58,14 +69,9 @@ def plan_work(
         present: Length n. The arm's pose. The first segment must begin there within `START_TOLERANCE_RAD` or `START_TOLERANCE_M`;
             what is left of the difference fades away during the segment, so that the plan begins exactly at `present`.
         request: Its duration, scales and number of waypoints are not used.
-        clock: Returns seconds from any fixed origin.
 
     Raises:
-        SegmentError: Naming the segment. Its cause: `TrajectoryError` if it does not begin where the one before ends, or does not
-            begin and end at rest; `LimitError`, `CollisionError`, also at its end after its change of the scene; `SceneError` if
-            the change is impossible; `PlanningError` for names, numbers and counts that make no sense.
-        PlanSizeError: If the plan would be too large.
-        PlanningError: If there is no task, or no segment.
+        SegmentError: Naming the segment, with its cause.
     """
     began = clock()
     _check_counts(task, segments, bounds)

@@ -15,13 +15,7 @@ from construction_twin.scene.scene_change import SceneChange
 
 @dataclass(frozen=True, eq=False)
 class WorkSegment:
-    """One part of a work plan, from rest to rest: `WorkSegment.msg`.
-
-    Attributes:
-        trajectory: From rest to rest; begins where the one before ends.
-        engaged, requires, switches: As in `robot.segments.Segment`.
-        change: Of the scene, after the switches: `put` and `remove` of the message.
-    """
+    """One part of a work plan, from rest to rest: `WorkSegment.msg`; the scene changes after the switches."""
 
     name: str
     trajectory: Trajectory

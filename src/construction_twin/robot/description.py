@@ -18,9 +18,9 @@ import pydantic
 from urdf_parser_py.urdf import URDF, Joint
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.core.units import radians
 from construction_twin.core.validation import configuration_error
+from construction_twin.robot.motion_errors import JointRangeError
 from construction_twin.robot.urdf import chain_joints, expand_xacro, parse_urdf, read_yaml, xacro_arguments
 
 #: A joint vector, shape (n,), as callers may pass it; functions that calculate with it convert it.
@@ -48,12 +48,7 @@ _Turned = Annotated[float, pydantic.Field(ge=-_MOST_TURNED, le=_MOST_TURNED)]
 
 @dataclass(frozen=True)
 class Following:
-    """How a joint moves with a joint of the chain: ``position = factor * leader + offset``.
-
-    Attributes:
-        leader: A joint of the chain.
-        factor, offset: [rad], [m]
-    """
+    """How a joint moves with a joint of the chain: ``position = factor * leader + offset`` [rad], [m]."""
 
     leader: str
     factor: float
@@ -65,7 +60,6 @@ class OtherJoint:
     """A movable joint of the URDF that is not between base and tip.
 
     Attributes:
-        kind: The URDF's type.
         position: Where it stands [rad], [m]; None for a mimic joint that moves with a joint of the chain.
         follows: For a mimic joint the joint it names, which may itself follow another; otherwise empty.
         following: How it moves, where `position` is None.
@@ -86,13 +80,7 @@ class OtherJoint:
 
 @dataclass(frozen=True)
 class AxisMapping:
-    """How a joint appears on the wire and in RSI: ``rsi_value = sign * q + offset``.
-
-    Attributes:
-        name: Of the axis in the controller's telegrams, e.g. ``A1``, or ``E1`` for an external axis.
-        sign: +1 or -1.
-        offset: [rad] ([m] for a prismatic joint).
-    """
+    """How a joint appears on the wire and in RSI, as axis ``A1``, or ``E1``: ``rsi_value = sign * q + offset`` [rad], [m]."""
 
     name: str
     sign: int
@@ -132,11 +120,7 @@ class RobotModel:
     estimates: tuple[str, ...] = ()
 
     def check_range(self, q: JointValues) -> None:
-        """Check that every joint lies within its range, limits included.
-
-        Raises:
-            JointRangeError: Naming the first joint outside; nan is outside every range.
-        """
+        """Raise JointRangeError for the first joint outside its range; nan is outside every range."""
         if len(q) != len(self.joint_names):
             raise ValueError(f"{len(q)} joint values for {len(self.joint_names)} joints of {self.name}")
         for joint, value, lower, upper, linear in zip(self.joint_names, q, self.lower, self.upper, self.linear):

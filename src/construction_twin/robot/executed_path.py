@@ -1,7 +1,6 @@
 """The path that an arm has executed, and where on it a pose lies: for the way back along it.
 
-Pure. Angles in rad, m for prismatic joints; a distance is the largest over the joints, in the unit of that joint. Times in s from
-the path's beginning.
+Joint values in rad or m, a distance is the largest over the joints; times in s from the path's beginning.
 """
 
 from __future__ import annotations
@@ -22,12 +21,7 @@ LARGEST_ENTRY = 0.02
 
 @dataclass(frozen=True)
 class Entry:
-    """Where a pose lies on a path, or next to it.
-
-    Attributes:
-        time: Of the nearest point [s]; where the path passes it more than once, the last.
-        distance: To that point.
-    """
+    """The time of the point of a path that is nearest to a pose [s], of several passages the last, and the distance to it."""
 
     time: float
     distance: float
@@ -35,18 +29,13 @@ class Entry:
 
 @dataclass(frozen=True, eq=False)
 class ExecutedPath:
-    """A trajectory from its beginning to where it was left.
-
-    Attributes:
-        trajectory: Begins at rest.
-        end: Time along it that was reached at most [s], 0 to its duration.
-    """
+    """A trajectory from its beginning, at rest, to the time along it that was reached at most [s]."""
 
     trajectory: Trajectory
     end: float
 
     def points(self, until: float | None = None) -> np.ndarray:
-        """Return the poses on a grid of at most 4 ms from the beginning to a time, by default `end`; shape (k, n)."""
+        """Return the poses on a grid of at most 4 ms up to a time, by default `end`; shape (k, n)."""
         return self.trajectory.sample_many(self._grid(self.end if until is None else until))[0]
 
     def entry(self, pose: np.ndarray) -> Entry:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from construction_twin.core.motion_errors import KinematicsError
+from construction_twin.robot.motion_errors import KinematicsError
 
 #: Below this |cos B| the angles A and C turn about the same axis and only their sum or difference is defined.
 _GIMBAL = 1e-12
@@ -21,16 +21,9 @@ _NORM_TOLERANCE = 1e-3
 
 
 def rotation_to_abc(rotation) -> tuple[float, float, float]:
-    """Convert a rotation matrix to KUKA's A, B, C.
+    """Convert a rotation, read by ``[row, column]``, to KUKA's A, B, C [rad]; B in [-pi/2, pi/2].
 
     At B = +-90 deg, where only A - C (or A + C) is defined, A is 0.
-
-    Args:
-        rotation: Shape (3, 3). Or any object whose elements are read by ``[row, column]``, such as a PyKDL.Frame or a
-            PyKDL.Rotation.
-
-    Returns:
-        a, b, c: [rad]; A and C in [-pi, pi], B in [-pi/2, pi/2].
     """
     r = rotation
     cos_b = math.hypot(r[0, 0], r[1, 0])

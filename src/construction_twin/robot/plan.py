@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from construction_twin.core.freshness import Moment
-from construction_twin.core.motion_errors import TrajectoryError
+from construction_twin.robot.motion_errors import TrajectoryError
 from construction_twin.robot.segments import Segment, check_segments, segments_hash
 from construction_twin.robot.trajectory import Trajectory
 
@@ -35,11 +35,7 @@ class Clearance:
 
 @dataclass(frozen=True)
 class LimitUsage:
-    """Largest fraction of each joint's limit that a trajectory uses, over all 4 ms samples; 1 is exactly at the limit.
-
-    Attributes:
-        velocity, acceleration, jerk: Length n
-    """
+    """Largest fraction of each joint's limit that a trajectory uses, over all 4 ms samples; 1 is exactly at the limit."""
 
     velocity: tuple[float, ...]
     acceleration: tuple[float, ...]
@@ -48,11 +44,7 @@ class LimitUsage:
 
 @dataclass(frozen=True)
 class PlanReport:
-    """What was measured on every 4 ms sample of a trajectory.
-
-    Attributes:
-        recheck_time: Time the measurement took [s].
-    """
+    """What was measured on every 4 ms sample of a trajectory, which took `recheck_time` [s]."""
 
     clearance: Clearance
     usage: LimitUsage
@@ -64,7 +56,6 @@ class Plan:
     """A trajectory with its origin, as a reviewer sees it. The constructor refuses a hash that is not that of its content.
 
     Attributes:
-        id: Unique id.
         hash: The trajectory's `content_hash`; of a work plan: `segments_hash`.
         source: Name of the requester.
         planner: How the path was found: name of an OMPL planner, ``direct``, ``cartesian``, ``waypoints``, ``work``, ``way back``.
@@ -74,9 +65,6 @@ class Plan:
         retimed: Why the times that were asked for were replaced, as one sentence; empty: they were kept, or there were none.
         task: Id of the task that a work plan carries out.
         segments: Of a work plan; empty: the trajectory is one motion in one scene.
-
-    Raises:
-        TrajectoryError: If `id` is empty, `hash` is not that of the content, or the segments do not fit trajectory and scene.
     """
 
     id: str

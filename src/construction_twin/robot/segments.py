@@ -11,7 +11,7 @@ import json
 import math
 from dataclasses import asdict, dataclass
 
-from construction_twin.core.motion_errors import TrajectoryError
+from construction_twin.robot.motion_errors import TrajectoryError
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def segments_hash(trajectory_hash: str, task: str, segments: tuple[Segment, ...]
 
 
 def segments_content(trajectory_hash: str, task: str, segments: tuple[Segment, ...]) -> str:
-    """Return the text that `segments_hash` covers: JSON with the keys ``trajectory``, ``task``, ``segments``."""
+    """Return the JSON that `segments_hash` covers."""
     content = {"trajectory": trajectory_hash, "task": task, "segments": [asdict(segment) for segment in segments]}
     return json.dumps(content, sort_keys=True, allow_nan=False)
 

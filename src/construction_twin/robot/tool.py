@@ -28,12 +28,7 @@ class _Strict(pydantic.BaseModel):
 
 
 class Place(_Strict):
-    """A pose in a file.
-
-    Attributes:
-        xyz: Length 3. [m]
-        rpy_deg: Length 3. About the fixed x, y and z axes, in this order [deg].
-    """
+    """A pose in a file: `xyz` [m], and turns about the fixed x, y and z axes, in this order."""
 
     xyz: _Vector
     rpy_deg: _Vector = (0.0, 0.0, 0.0)
@@ -88,13 +83,7 @@ class Output(_Strict):
 
 
 class Action(_Strict):
-    """What closes or opens the grip.
-
-    Attributes:
-        set: Outputs and their values.
-        confirm: What the inputs must read afterwards.
-        timeout: [s]
-    """
+    """What closes or opens the grip: outputs, and what the inputs must read afterwards within `timeout` [s]."""
 
     set: Annotated[dict[_Name, bool], pydantic.Field(min_length=1)]
     confirm: Annotated[dict[_Name, bool], pydantic.Field(min_length=1)]
@@ -110,11 +99,7 @@ class Action(_Strict):
 
 
 class Tool(_Strict):
-    """A tool. The keys of the file, each explained in config/tools/vacuum_frame.yaml.
-
-    Attributes:
-        mass, payload, load: [kg]
-    """
+    """A tool. The keys of the file, each explained in config/tools/vacuum_frame.yaml."""
 
     name: _Name
     tool0_T_tcp: Place

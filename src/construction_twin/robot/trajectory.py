@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from construction_twin.core.motion_errors import TrajectoryError
+from construction_twin.robot.motion_errors import TrajectoryError
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +25,7 @@ class Trajectory:
     Attributes:
         joint_names: Length n
         times: Shape (k,). Time of each waypoint from the start [s]: first 0, strictly increasing, at least two.
-        positions, velocities, accelerations: Shape (k, n). [rad], [rad/s], [rad/s^2]
-
-    Raises:
-        TrajectoryError: If shapes do not fit, a value is not finite, or times do not start at 0 and increase; names row and joint.
+        positions, velocities, accelerations: Shape (k, n). [rad], [rad/s], [rad/s^2], all finite
     """
 
     joint_names: tuple[str, ...]
@@ -183,9 +180,7 @@ def _check_times(times: np.ndarray) -> np.ndarray:
 
 
 def _quintic_coefficients(trajectory: Trajectory) -> np.ndarray:
-    """Return the segments' polynomial coefficients by ascending power of the time in the segment, shape (k - 1, 6,
-    n).
-    """
+    """Return the segments' coefficients by ascending power of the time in the segment, shape (k - 1, 6, n)."""
     h = np.diff(trajectory.times)[:, None]
     q0, q1 = trajectory.positions[:-1], trajectory.positions[1:]
     v0, v1 = trajectory.velocities[:-1], trajectory.velocities[1:]

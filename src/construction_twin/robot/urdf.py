@@ -29,10 +29,7 @@ _AMENT = "ament_index_python.packages"
 
 
 def xacro_arguments(text: str) -> dict[str, str]:
-    """Return the arguments of a xacro file from one text, as the launch argument ``robot_xacro_args`` has it.
-
-    That is words ``name=value`` (or ``name:=value``, which roslaunch does not take on its command line), quoted as in a shell.
-    """
+    """Return a xacro file's arguments from words ``name=value`` or ``name:=value``, quoted as in a shell (``robot_xacro_args``)."""
     try:
         words = shlex.split(text)
     except ValueError as error:
@@ -64,11 +61,7 @@ class _Arguments(dict[str, str]):
 
 
 def expand_xacro(path: str | Path, arguments: Mapping[str, str] | None = None) -> str:
-    """Expand a xacro file to URDF text. ``$(find pkg)`` is answered by rospack.
-
-    Returns:
-        Indented XML.
-    """
+    """Expand a xacro file to URDF text, indented. ``$(find pkg)`` is answered by rospack."""
     read_text(path)  # xacro's own message for a missing file does not say what was expected
     given = _Arguments(arguments or {})
     try:

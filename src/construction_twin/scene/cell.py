@@ -47,10 +47,7 @@ _PLACES = pydantic.TypeAdapter(dict[str, _Place])
 
 
 def load_cell(description: object) -> Cell:
-    """Build a cell from a parsed YAML file, see config/cell_two_robots.yaml.
-
-    `description`: A mapping of robots' names to ``xyz`` [m] and ``rpy_deg``: about the fixed x, y and z axes, in this order [deg].
-    """
+    """Build a cell from a parsed YAML file, see config/cell_two_robots.yaml."""
     try:
         places = _PLACES.validate_python(description)
     except pydantic.ValidationError as error:

@@ -18,9 +18,9 @@ import numpy as np
 import pinocchio
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.packages import with_mesh_files
 from construction_twin.scene.mesh_file import parse_mesh
 from construction_twin.scene.objects import Scene, SceneObject, listed, read_mesh_file
@@ -68,10 +68,9 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class ObjectShapes:
-    """What contacts of a scene object are checked with, in its frame.
+    """What contacts of a scene object are checked with, in its frame: one shape, or the convex pieces of its mesh.
 
     Attributes:
-        shapes: One, or the convex pieces of its mesh.
         reach: How far the pieces reach beyond the mesh [m].
         whole: The surface that has the object's volume and moments; None: its shapes have them, together.
     """
@@ -151,14 +150,7 @@ class RobotBodies:
         return tuple(axes)
 
     def joint_places(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return where all joints of the model are at many joint values at once: by Pinocchio's index, 0 is the world.
-
-        Args:
-            rows: Shape (m, size). Pinocchio's order.
-
-        Returns:
-            Rotations, shape (m, j, 3, 3), and positions, shape (m, j, 3) [m].
-        """
+        """Return where all joints are in rows, shape (m, size): rotations, shape (m, j, 3, 3), and positions, shape (m, j, 3)."""
         rotations = np.empty((len(rows), self.model.njoints, 3, 3))
         positions = np.zeros((len(rows), self.model.njoints, 3))
         rotations[:, 0] = np.eye(3)
@@ -191,10 +183,7 @@ class RobotBodies:
         return Pose(base_T_link.translation.copy(), base_T_link.rotation.copy())
 
     def place(self, item: SceneObject, objects: Collection[str] = ()) -> tuple[Body, ...]:
-        """Return the bodies of a scene object: one, or the convex pieces of its mesh, all with its name; see `scene_shapes`.
-
-        `objects`: Names of the objects of its scene, which it may name in `touch`.
-        """
+        """Return the bodies of a scene object, see `scene_shapes`; `objects` of its scene it may name in `touch`."""
         links = f"a link of the robot: {sorted(self.link_joints)}"
         if item.link and item.link not in self.link_joints:
             raise SceneError(f"object {item.name!r} link", item.link, links)

@@ -47,16 +47,33 @@ class CollisionWorld:
     standing objects whose boxes it comes near; the others cannot touch it.
 
     Not for use from several threads at once: it works in buffers of its own.
+
+    Args:
+        own: All bodies of robot and scene, or some of them.
+        only: Nothing but these pairs is checked.
     """
 
-    def __init__(self, robot: RobotModel, scene: Scene, self_collision: SelfCollision):
-        self._build(RobotBodies(robot), scene, self_collision)
+    def __init__(
+        self,
+        robot: RobotModel | RobotBodies,
+        scene: Scene,
+        self_collision: SelfCollision,
+        own: tuple[Body, ...] | None = None,
+        obstacles: tuple[Obstacle, ...] = (),
+        only: list[tuple[int, int, float]] | None = None,
+    ):
+        self._robot_bodies = robot_bodies = robot if isinstance(robot, RobotBodies) else RobotBodies(robot)
+        self.robot = robot_bodies.robot
+        self.scene = scene
+        self.self_collision = self_collision
+        if own is None:
+            own = (*robot_bodies.bodies, *robot_bodies.place_all(scene))
+        self._own, self._obstacles, self._only = own, obstacles, only
+        self._kept: dict[tuple[float, bytes], CollisionWorld] = {}
 
     def with_scene(self, scene: Scene) -> CollisionWorld:
         """Return a world with the same robot, and the same other arm, in another scene; faster than building it from the robot."""
-        world = object.__new__(CollisionWorld)
-        world._build(self._robot_bodies, scene, self.self_collision, obstacles=self._obstacles)
-        return world
+        return CollisionWorld(self._robot_bodies, scene, self.self_collision, obstacles=self._obstacles)
 
     def of_touching(self) -> CollisionWorld | None:
         """Return a world in which only the pairs are checked that `touch` leaves out here; None: there are none.
@@ -70,11 +87,8 @@ class CollisionWorld:
         used = sorted({index for pair in pairs for index in pair[:2]})
         number = {index: place for place, index in enumerate(used)}
         pairs = [(number[first], number[second], margin) for first, second, margin in pairs]
-        world = object.__new__(CollisionWorld)
-        world._build(
-            self._robot_bodies, self.scene, self.self_collision, tuple(self._own[index] for index in used), (), pairs
-        )
-        return world
+        own = tuple(self._own[index] for index in used)
+        return CollisionWorld(self._robot_bodies, self.scene, self.self_collision, own, (), pairs)
 
     def with_neighbour(self, obstacles: Iterable[Obstacle], alone: bool = False) -> CollisionWorld:
         """Return a world with the same robot and scene, and another arm in it; the scene's version stays the same.
@@ -82,28 +96,8 @@ class CollisionWorld:
         Moving links and carried objects are checked against its bodies (contact: distance within the scene's padding plus the
         obstacle's). Bodies that do not move are not checked. `alone`: Check nothing but that.
         """
-        world = object.__new__(CollisionWorld)
         only: list[tuple[int, int, float]] | None = [] if alone else None
-        world._build(self._robot_bodies, self.scene, self.self_collision, self._own, tuple(obstacles), only)
-        return world
-
-    def _build(
-        self,
-        robot_bodies: RobotBodies,
-        scene: Scene,
-        self_collision: SelfCollision,
-        own: tuple[Body, ...] | None = None,
-        obstacles: tuple[Obstacle, ...] = (),
-        only: list[tuple[int, int, float]] | None = None,
-    ) -> None:
-        self.robot = robot_bodies.robot
-        self.scene = scene
-        self.self_collision = self_collision
-        self._robot_bodies = robot_bodies
-        if own is None:
-            own = (*robot_bodies.bodies, *robot_bodies.place_all(scene))
-        self._own, self._obstacles, self._only = own, obstacles, only
-        self._kept: dict[tuple[float, bytes], CollisionWorld] = {}
+        return CollisionWorld(self._robot_bodies, self.scene, self.self_collision, self._own, tuple(obstacles), only)
 
     @cached_property
     def _near(self) -> tuple[Body, ...]:
@@ -126,10 +120,7 @@ class CollisionWorld:
         return PairChecks(self._robot_bodies, bodies, only + reached_pairs, few)
 
     def _beside(self, qs: np.ndarray, gap: float) -> CollisionWorld:
-        """Return a world without the standing objects that stay further than `gap` [m] and the paddings from the arm in all rows.
-
-        With few bodies it is this one.
-        """
+        """Return this world; of many bodies one without what is further than `gap` [m] and paddings from the arm in all rows."""
         if self._only is not None or len(self._near) <= MANY_BODIES:
             return self
         # the same motion is asked about more than once: for contacts, for its clearance
@@ -139,18 +130,13 @@ class CollisionWorld:
             return self._kept[key]
         paddings = [body.item.padding for body in self._near if body.item is not None]
         around = gap + self.scene.padding + max(paddings, default=0.0)
-        own = tuple(self._near[index] for index in self._boxes.near(self._rows(qs), around))
+        own = tuple(self._near[index] for index in self._boxes.near(self._robot_bodies.rows(qs), around))
         only = checked_pairs(own, self.scene.padding, self.self_collision)
-        world = object.__new__(CollisionWorld)
-        world._build(self._robot_bodies, self.scene, self.self_collision, own, self._obstacles, only)
+        world = CollisionWorld(self._robot_bodies, self.scene, self.self_collision, own, self._obstacles, only)
         if len(self._kept) >= _KEPT:
             self._kept.clear()
         self._kept[key] = world
         return world
-
-    def _rows(self, qs: np.ndarray) -> np.ndarray:
-        """Return rows of joint values in Pinocchio's order."""
-        return self._robot_bodies.rows(qs)
 
     def _within_reach(self, own: tuple[Body, ...]) -> tuple[Body, ...]:
         """Return the bodies without the standing objects that no moving body reaches at any joint values, by a bound."""
@@ -187,11 +173,7 @@ class CollisionWorld:
 
     @cached_property
     def levers(self) -> np.ndarray:
-        """How far any point of the arm, its tool and what it carries moves at most when a joint does, shape (n,).
-
-        [m/rad] for a revolute joint, 1 for a prismatic one; an upper bound at any joint values, from the lengths of the chain. A
-        joint that others follow moves what they move, too.
-        """
+        """How far any point of the arm, its tool and what it carries moves at most when a joint does, shape (n,) [m/rad], or 1."""
         robot = self._robot_bodies
         moving = [body for body in self._own if body.joint]
         per_body, _ = body_levers(robot, moving, robot.strokes)
@@ -224,7 +206,7 @@ class CollisionWorld:
         Negative: how deep one is in the other; inf if one of them has no shape.
         """
         data = self._robot_bodies.model.createData()
-        pinocchio.forwardKinematics(self._robot_bodies.model, data, self._rows(np.array([q]))[0])
+        pinocchio.forwardKinematics(self._robot_bodies.model, data, self._robot_bodies.rows(np.array([q]))[0])
         placed: dict[str, list[tuple[coal.CollisionGeometry, coal.Transform3s]]] = {first: [], second: []}
         for body in self._own:
             if body.owner in placed:
@@ -253,9 +235,8 @@ class CollisionWorld:
     def clearance(self, q: JointValues, changing: bool = False) -> Clearance:
         """Return the smallest distance of a checked pair; the padding is not subtracted; inf if no pair is checked.
 
-        Args:
-            changing: Only of pairs whose distance some joint changes. A link that turns about an upright axis stays as far from the
-                floor as it is: that tells nothing of a pose or a plan.
+        `changing`: Only of pairs whose distance some joint changes. A link that turns about an upright axis stays as far from the
+        floor as it is: that tells nothing of a pose or a plan.
         """
         return self._checks.clearance(q, changing)
 
@@ -267,7 +248,7 @@ class CollisionWorld:
         `distance_bounds.RESOLUTION` (0.01 mm).
         """
         world = self._beside(qs, 0.0)
-        found, doubtful = world._checks.first_contact(self._rows(qs))
+        found, doubtful = world._checks.first_contact(self._robot_bodies.rows(qs))
         # what is not in `world` is far from all of the motion
         index = world._checks.first_blocked(qs[doubtful])
         if index is None:
@@ -285,7 +266,7 @@ class CollisionWorld:
         gap = _NEAR
         while True:
             world = self._beside(qs, gap)
-            clearance, place = world._checks.clearance_of(self._rows(qs), changing)
+            clearance, place = world._checks.clearance_of(self._robot_bodies.rows(qs), changing)
             # all that was left out is further away than this
             if world is self or clearance.distance <= gap:
                 return clearance, place

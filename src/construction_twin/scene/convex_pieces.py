@@ -36,7 +36,7 @@ _FACES, _FINE = 600, 0.1
 _ACROSS = (0.25, 0.5, 0.75)
 #: Main axes whose moments differ by less than this fraction are those of a body that has none there: rounding would choose them.
 _ALIKE = 1e-3
-#: Parts of the way from the middle of a piece to its surface at which what it has more is measured.
+#: Parts of the way from the middle of what a piece has more to its surface at which that is measured.
 _DEPTHS = (1.0, 0.95, 0.85, 0.7)
 #: Radius of what stands for a point, and a way out of every mesh that no face is likely to lie along [m].
 _POINT, _FAR_AWAY = 1e-9, np.array((3.1e4, 4.7e4, 8.3e4))
@@ -64,10 +64,7 @@ class Pieces:
 
 
 def convex_pieces(vertices: np.ndarray, triangles: np.ndarray) -> Pieces | None:
-    """Return convex pieces of what a mesh encloses; the same mesh gives the same ones, and is divided once per process.
-
-    None: it is not closed, has more than 5,000 triangles, or more than 64 bodies.
-    """
+    """Return convex pieces of what a mesh encloses, the same for the same mesh; None: not closed, too fine, or too many pieces."""
     if len(triangles) > MOST_TRIANGLES:
         return None
     return _divided(
@@ -101,18 +98,20 @@ def _divided(corners: bytes, indices: bytes) -> Pieces | None:
 
 
 def _excess(body: manifold3d.Manifold, pieces: Sequence[np.ndarray]) -> float:
-    """Return the largest distance from a body of points on the surface of its pieces that lie outside of it [m]."""
+    """Return the largest distance from a body of points of its pieces that lie outside of it [m]."""
     mesh, here = surface(*mesh_of(body)), coal.Transform3s.Identity()
     point, request, most = coal.Sphere(_POINT), coal.DistanceRequest(), 0.0
     for corners in pieces:
-        shell = mesh_of(hull_solid(corners).refine_to_length(_FINE * float(np.ptp(corners, axis=0).max())))[0]
-        middle = corners.mean(axis=0)
-        for position in np.concatenate([middle + depth * (shell - middle) for depth in _DEPTHS]):
-            at = coal.Transform3s(np.eye(3), position)
-            away = coal.distance(point, at, mesh, here, request, coal.DistanceResult()) + _POINT
-            # on a line to far away what lies outside meets an even number of faces
-            if away > most and len(body.ray_cast(tuple(position), tuple(position + _FAR_AWAY))) % 2 == 0:
-                most = away
+        # only of what the piece has more: of a ring of 4,096 triangles that is a third of the time
+        for more in (hull_solid(corners) - body).decompose():
+            shell = mesh_of(more.refine_to_length(_FINE * float(np.ptp(corners, axis=0).max())))[0]
+            middle = shell.mean(axis=0)
+            for position in np.concatenate([middle + depth * (shell - middle) for depth in _DEPTHS]):
+                at = coal.Transform3s(np.eye(3), position)
+                away = coal.distance(point, at, mesh, here, request, coal.DistanceResult()) + _POINT
+                # on a line to far away what lies outside meets an even number of faces
+                if away > most and len(body.ray_cast(tuple(position), tuple(position + _FAR_AWAY))) % 2 == 0:
+                    most = away
     return float(most)
 
 
@@ -258,12 +257,13 @@ class _Part:
         return planes
 
     def _main_axes(self) -> list[np.ndarray]:
-        """Return the axes along which the faces are spread most and least, where rounding does not decide which they are."""
+        """Return the axes, besides x, y, z, along which the faces are spread most and least, unless rounding decides on them."""
         weights = self._areas / self._areas.sum()
         away = self._middles - weights @ self._middles
         moments, axes = np.linalg.eigh((away * weights[:, None]).T @ away)
         apart = np.abs(moments[:, None] - moments[None]) + np.diag([np.inf] * 3)
-        return [axes[:, one] for one in range(3) if apart[one].min() > _ALIKE * moments[2]]
+        slanted = np.abs(axes).max(axis=0) < 1.0 - _SAME
+        return [axes[:, one] for one in range(3) if slanted[one] and apart[one].min() > _ALIKE * moments[2]]
 
 
 def _faces(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -45,12 +45,7 @@ def pair_levers(robot: RobotBodies, bodies: Sequence[Body], pairs: Sequence[tupl
 
 
 class Travel:
-    """For each pair, an upper bound of the relative motion of its bodies from the first row on.
-
-    Args:
-        rows: Shape (m, n). Joint values, Pinocchio's order; each joint goes evenly from one row to the next.
-        levers: Shape (p, n). As of `pair_levers`.
-    """
+    """For each pair, an upper bound of the relative motion of its bodies from the first row on; rows, and their `pair_levers`."""
 
     def __init__(self, rows: np.ndarray, levers: np.ndarray):
         self._way, self._levers = np.zeros_like(rows), levers
@@ -64,14 +59,9 @@ class Travel:
 
 
 def body_levers(robot: RobotBodies, bodies: Sequence[Body], strokes: np.ndarray) -> tuple[np.ndarray, list[float]]:
-    """Return bounds of the motion of a body's points per unit of each joint, and of their distance from the root.
+    """Return bounds of the motion of each body's points per unit of each joint, and of their distance from the root [m].
 
-    Args:
-        strokes: Shape (size,). As of `levers`.
-
-    Returns:
-        levers: Shape (size, b). [m/rad], or 1 for prismatic joints; Pinocchio's order. 0 for a joint that does not move the body.
-        reaches: Length b. Largest distance of any point of it from the root at any joint values [m].
+    The former in Pinocchio's order, shape (size, b): [m/rad], 1 for a prismatic joint, 0 for one that does not move the body.
     """
     model = robot.model
     per_body = np.zeros((model.nq, len(bodies)))
@@ -101,14 +91,10 @@ def _joints_below(robot: RobotBodies, body: Body) -> set[int]:
 
 
 class Motion:
-    """The motion of many pairs through rows of joint values, each joint going evenly from one row to the next.
+    """The motion of pairs, at least one, through rows of joint values, each joint going evenly from one row to the next.
 
     A place on it is a number of rows: 3.5 is half way from row 3 to row 4. What was measured for one question serves the next.
-
-    Args:
-        last: The last row.
-        pairs: How many there are, at least one.
-        measure: Returns the distances of some pairs, each at a place [m]: ``measure(places, pairs)``, arrays of shape (k,).
+    ``measure(places, pairs)`` returns the distances of some pairs, each at a place [m], arrays of shape (k,).
     """
 
     def __init__(self, travel: Travel, last: int, pairs: int, measure: Callable[[np.ndarray, np.ndarray], np.ndarray]):
@@ -138,11 +124,7 @@ class Motion:
     def first_contact(
         self, margins: np.ndarray, touches: Callable[[float, int], bool]
     ) -> tuple[tuple[float, int] | None, np.ndarray]:
-        """Find where two bodies first touch.
-
-        Args:
-            margins: Shape (p,). At this distance or less two bodies touch [m].
-            touches: Whether a pair touches at a place, asked where the distance says so: ``touches(place, pair)``.
+        """Find where two bodies first touch, which they do at their margin, shape (p,) [m], if ``touches(place, pair)`` agrees.
 
         Returns:
             first: Place and pair; None: none do anywhere on the motion. No contact is earlier, except one during which no point

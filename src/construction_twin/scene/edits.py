@@ -14,8 +14,8 @@ from typing import Annotated, Any
 import pydantic
 
 from construction_twin.core.files import read_file, write_whole
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.validation import wrong_value
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.scene.objects import Scene, SceneObject
 
 #: Largest file [bytes]: tens of thousands of objects.

@@ -26,13 +26,7 @@ _ENOUGH = 0.04
 
 @dataclass(frozen=True)
 class Home:
-    """A home pose.
-
-    Attributes:
-        q: [rad] or [m]
-        clearance: Smallest distance of a checked pair there [m].
-        between: The closest pair; empty when no pair is checked.
-    """
+    """A home pose [rad] or [m], its clearance [m], and the closest pair; empty when no pair is checked."""
 
     q: tuple[float, ...]
     clearance: float
@@ -40,11 +34,10 @@ class Home:
 
 
 def find_home(world: CollisionWorld, rng: np.random.Generator) -> Home:
-    """Find a home pose.
+    """Find a home pose: the best of many that has enough clearance.
 
     Preferred are poses far from singularities and from the ends of the ranges, with the tool in front of the base and looking down,
-    in which most joints stand at zero. The best of these that has enough clearance is taken. `world`: The robot, its own home is
-    not used, and what it must not touch.
+    in which most joints stand at zero.
     """
     robot = world.robot
     chain = Chain(robot)

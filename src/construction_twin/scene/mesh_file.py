@@ -11,7 +11,7 @@ from collections import Counter
 
 import numpy as np
 
-from construction_twin.core.motion_errors import SceneError
+from construction_twin.robot.motion_errors import SceneError
 
 #: Most triangles: far beyond what a collision shape needs, and still checked and built within seconds.
 MOST_TRIANGLES = 100_000
@@ -25,12 +25,7 @@ _FLAT = 1e-12
 def parse_mesh(
     where: str, path: str, contents: bytes, scale: tuple[float, float, float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Read the triangles of a mesh file.
-
-    Args:
-        where: What the mesh is, for messages.
-        path: The file's name; its ending says which format it is.
-        scale: Factors for x, y and z that make metres.
+    """Read the triangles of a mesh file, whose ending says which format it is; `scale` makes metres.
 
     Returns:
         Vertices, shape (v, 3) [m], all finite, and triangles, shape (t, 3), at least one with an area.
@@ -94,10 +89,7 @@ def _check_whole(contents: bytes) -> None:
 
 
 def binary_stl(corners: np.ndarray) -> bytes:
-    """Return the contents of a binary STL file.
-
-    `corners`: Shape (t, 3, 3). Of each triangle [m], counterclockwise seen from outside.
-    """
+    """Return a binary STL file of triangles, shape (t, 3, 3) [m], counterclockwise seen from outside."""
     import trimesh  # noqa: PLC0415
 
     faces = np.arange(3 * len(corners)).reshape(-1, 3)

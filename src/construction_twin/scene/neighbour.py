@@ -37,13 +37,7 @@ _BETWEEN = 20
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """A copy of a body of the other arm.
-
-    Attributes:
-        owner: ``<robot>/<link or carried object>``.
-        placement: In the root of the URDF of the robot that must not touch it.
-        padding: Distance to keep from it [m].
-    """
+    """A copy of a body of the other arm, ``<robot>/<link or carried object>``, and the distance to keep from it [m]."""
 
     owner: str
     placement: pinocchio.SE3
@@ -63,10 +57,7 @@ class Obstacle:
 
 
 class Neighbour:
-    """Another robot, in the frame of ours.
-
-    `root_T_root`: Of the root of the other robot's URDF in the root of ours; see `cell.Cell`.
-    """
+    """Another robot, in the frame of ours; `root_T_root` of both URDFs, see `cell.Cell`."""
 
     def __init__(self, name: str, robot: RobotModel, root_T_root: Pose):
         self.name = name
@@ -90,10 +81,7 @@ class Neighbour:
         self._levers, _ = body_levers(self._robot_bodies, bodies, self._robot_bodies.strokes)
 
     def along(self, path: np.ndarray) -> tuple[Obstacle, ...]:
-        """Return the space that the arm occupies on a path.
-
-        `path`: Shape (m, n). Joint values, dense enough that the motion between two rows is covered by `ROUNDING` (every 4 ms).
-        """
+        """Return the space that the arm occupies on a path, shape (m, n), between whose rows (4 ms) it moves within `ROUNDING`."""
         rows = self._robot_bodies.rows(np.atleast_2d(np.asarray(path, dtype=float)))
         steps = np.abs(np.diff(rows, axis=0)) @ self._levers
         travel = np.vstack([np.zeros(len(self._bodies)), np.cumsum(steps, axis=0)])
@@ -139,13 +127,9 @@ class Neighbour:
 
 
 def key_rows(travel: np.ndarray, step: float) -> list[int]:
-    """Return rows of a path that are about a step apart, the first and the last among them.
+    """Return rows about a step apart by the distance travelled to each, shape (m,) [m]: the first, the last, and between.
 
-    Args:
-        travel: Shape (m,). Distance travelled from the first row to each; never decreases [m].
-
-    Returns:
-        Ascending. Only the first row if the whole distance is at most `ROUNDING`.
+    Only the first row if the whole distance is at most `ROUNDING`.
     """
     total = float(travel[-1])
     if total <= ROUNDING:

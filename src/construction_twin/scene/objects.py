@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from construction_twin.core.files import read_file
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import quaternion_to_rotation, rotation_to_quaternion, rpy_to_quaternion
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.tool import ToolFile
 
 #: A quaternion whose norm differs from 1 by more than the first value is refused, by more than the second it is normalised. A
@@ -172,12 +172,7 @@ class SceneObject:
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything the arm must not touch, besides itself.
-
-    Attributes:
-        objects: With different names; the order carries no meaning.
-        padding: Distance kept from every object [m].
-    """
+    """Everything the arm must not touch, besides itself: objects in any order, and the distance kept from each [m]."""
 
     objects: tuple[SceneObject, ...] = ()
     padding: float = 0.0
@@ -229,16 +224,10 @@ class Scene:
 
         Its name is also removed from what other objects may touch: a later object of that name is a different one.
         """
-        gone = self.get(name)
-        return self._only(tuple(item for item in self.objects if item is not gone))
+        return self.without((self.get(name).name,))
 
     def attach(self, name: str, link: str, pose: Pose, touch: Iterable[str] = ()) -> Scene:
-        """Return the scene with the object carried by a link.
-
-        Args:
-            pose: Of the object in `link`.
-            touch: Links and objects it may touch besides `link`; replaces the present ones.
-        """
+        """Return the scene with the object carried by a link at `pose` in it; `touch` replaces the present one."""
         if not link:
             raise SceneError(f"object {name!r} link", link, "the link that shall carry it")
         return self._with(self.get(name).moved(pose, link, touch))
@@ -253,11 +242,16 @@ class Scene:
 
     def clear(self) -> Scene:
         """Return the scene with its fixed objects only; see `remove`."""
-        return self._only(tuple(item for item in self.objects if item.fixed))
+        return self.without([item.name for item in self.objects if not item.fixed])
 
-    def _only(self, kept: tuple[SceneObject, ...]) -> Scene:
-        gone = set(self.names) - {item.name for item in kept}
-        forgotten = (replace(item, touch=tuple(name for name in item.touch if name not in gone)) for item in kept)
+    def without(self, names: Iterable[str]) -> Scene:
+        """Return the scene without the objects of those names; see `remove`."""
+        gone = frozenset(names)
+        kept = [item for item in self.objects if item.name not in gone]
+        # what forgets nothing is not made anew: its mesh would be read again
+        forgotten = (
+            item if gone.isdisjoint(item.touch) else replace(item, touch=tuple(set(item.touch) - gone)) for item in kept
+        )
         return replace(self, objects=tuple(forgotten))
 
     def _with(self, changed: SceneObject) -> Scene:

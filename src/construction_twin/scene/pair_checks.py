@@ -29,10 +29,7 @@ _POSES, _CHANGE = 64, 1e-3
 
 @dataclass(frozen=True)
 class Contact:
-    """Two bodies that touch, or are closer than the padding.
-
-    `between`: Length 2. A link or a carried object first, then a link or an object.
-    """
+    """Two bodies that touch, or are closer than the padding: a link or a carried object first, then a link or an object."""
 
     between: tuple[str, str]
 

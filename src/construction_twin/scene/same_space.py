@@ -15,11 +15,9 @@ BOX = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0
 def fills_same_space(
     one: SceneObject, world_T_one: Pose, other: SceneObject, world_T_other: Pose, slack: float
 ) -> bool:
-    """Return whether two convex objects fill the same space.
+    """Return whether two convex objects fill the same space: every corner of each has one of the other within `slack` [m].
 
-    Args:
-        one, other: Meshes count as the hulls of their corners: two hollow ones are told apart no better than that.
-        slack: Every corner of each has one of the other within this distance [m]; of round bodies the ends of the axis.
+    Of round bodies these are the ends of the axis; meshes count as the hulls of their corners.
     """
     if _kind(one) != _kind(other):
         return False

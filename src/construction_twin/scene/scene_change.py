@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from construction_twin.core.motion_errors import SceneError
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.scene.objects import Scene, SceneObject, listed
 
 
@@ -38,29 +38,19 @@ class SceneChange:
         return any(item.link for item in self.put)
 
     def apply(self, scene: Scene) -> Scene:
-        """Return the scene after the change.
-
-        What stays forgets the names that are removed in `touch`, as in `Scene.remove`. Whether the names in `touch` and `link` of
-        what comes exist is checked where the scene meets a robot.
-        """
-        objects = {item.name: item for item in scene.objects}
-        for name in self.remove:
-            if name not in objects:
-                known = f"one of the scene's {listed(scene.names)}; nothing was changed"
-                raise SceneError("an object to remove", name, known)
-        gone = frozenset(self.remove)
-        if gone:
-            objects = {name: _without(item, gone) for name, item in objects.items() if name not in gone}
+        """Return the scene after the change; names in `touch` and `link` are checked where the scene meets a robot."""
+        unknown = set(self.remove) - set(scene.names)
+        if unknown:
+            known = f"one of the scene's {listed(scene.names)}; nothing was changed"
+            raise SceneError("an object to remove", min(unknown), known)
+        objects = {item.name: item for item in scene.without(self.remove).objects}
         for item in self.put:
             present = objects.get(item.name)
             objects[item.name] = item if present is None else replace(item, fixed=present.fixed)
         return replace(scene, objects=tuple(objects.values()))
 
     def between(self, scene: Scene, before: str = "", after: str = "") -> Scene:
-        """Return the scene after the change, if it leads from one expected scene to another.
-
-        `before`, `after`: Hashes; empty: any.
-        """
+        """Return the scene after the change, if it leads from one expected scene (hash; empty: any) to another."""
         if before and scene.hash != before:
             expected = f"{before}, that this change was made for; plan it anew from this one"
             raise SceneError("the scene to change", scene.hash, expected)
@@ -77,9 +67,3 @@ class SceneChange:
             if names
         ]
         return ", ".join(changes) or "changed nothing"
-
-
-def _without(item: SceneObject, gone: frozenset[str]) -> SceneObject:
-    if gone.isdisjoint(item.touch):
-        return item
-    return replace(item, touch=tuple(name for name in item.touch if name not in gone))

@@ -10,9 +10,9 @@ import pydantic
 import yaml
 
 from construction_twin.core.errors import problem_of
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.validation import wrong_value
 from construction_twin.robot.frames import rpy_to_quaternion
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.scene.objects import Scene, SceneObject
 
 #: Stands for the path of a scene without objects and padding: roslaunch drops an argument that is empty.
@@ -45,13 +45,7 @@ class _SceneDescription(pydantic.BaseModel):
 
 
 def load_scene(description: Mapping, base_dir: str | Path) -> Scene:
-    """Build a scene from a parsed YAML file.
-
-    Args:
-        description: Keys ``padding`` [m] and ``objects``: a mapping of names to their properties. Rotations are ``rpy_deg``: about
-            the fixed x, y and z axes, in this order [deg].
-        base_dir: Directory that mesh files are relative to.
-    """
+    """Build a scene from a parsed YAML file, see config/scene.yaml, whose mesh files are relative to `base_dir`."""
     try:
         parsed = _SceneDescription.model_validate(dict(description))
     except pydantic.ValidationError as error:

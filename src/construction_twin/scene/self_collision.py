@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -29,8 +29,6 @@ from construction_twin.scene.collision_bodies import RobotBodies, make_reliable,
 
 #: Pair of link names.
 Pair = tuple[str, str]
-#: Progress is reported every so many poses.
-_REPORTED = 250
 
 
 class PairFile(pydantic.BaseModel):
@@ -125,12 +123,7 @@ _HEADER = """\
 
 @dataclass(frozen=True)
 class SelfCollision:
-    """The pairs of links that are not checked.
-
-    Attributes:
-        ignored: Reason for each pair: ``adjacent``, ``always`` or ``never``.
-        geometry_hash: Of the robot they were found with, see `geometry_hash`.
-    """
+    """The pairs of links that are not checked, each with its reason, and the `geometry_hash` of the robot they were found with."""
 
     ignored: Mapping[frozenset[str], str]
     geometry_hash: str
@@ -167,32 +160,20 @@ def _rounded(values) -> list[float]:
     return (np.round(np.asarray(values, dtype=float), 9) + 0.0).ravel().tolist()
 
 
-def sample_self_collision(
-    robot: RobotModel,
-    samples: int = SAMPLES,
-    seed: int = SEED,
-    report: Callable[[int, int], None] = lambda poses, pairs: None,
-) -> SelfCollision:
-    """Find the pairs of links that need no check.
-
-    Args:
-        samples: Poses: the home pose and random ones within the ranges.
-        report: Called now and then with the number of poses done and of pairs not decided.
-    """
+def sample_self_collision(robot: RobotModel, samples: int = SAMPLES, seed: int = SEED) -> SelfCollision:
+    """Find the pairs of links that need no check, by the home pose and random ones within the ranges."""
     bodies = RobotBodies(robot)
     pairs, adjacent = _link_pairs(bodies)
     lower, upper = np.array(robot.lower), np.array(robot.upper)
     random = np.random.default_rng(seed).uniform(lower, upper, (samples - 1, len(lower)))
-    always, never = _open_pairs(bodies, pairs, bodies.rows(np.vstack([robot.home, random])), report)
+    always, never = _open_pairs(bodies, pairs, bodies.rows(np.vstack([robot.home, random])))
     ignored = {frozenset(pair): "adjacent" for pair in adjacent}
     ignored |= {frozenset(pair): "never" for pair in never}
     ignored |= {frozenset(pair): "always" for pair in always}
     return SelfCollision(ignored, geometry_hash(bodies))
 
 
-def _open_pairs(
-    bodies: RobotBodies, pairs: Sequence[Pair], poses: np.ndarray, report: Callable[[int, int], None]
-) -> tuple[Iterable[Pair], Iterable[Pair]]:
+def _open_pairs(bodies: RobotBodies, pairs: Sequence[Pair], poses: np.ndarray) -> tuple[Iterable[Pair], Iterable[Pair]]:
     """Return the pairs of links that are in contact in all poses, and those that are close in none.
 
     A pair is not asked again once its answer can no longer change: few are left after the first poses.
@@ -211,9 +192,7 @@ def _open_pairs(
     make_reliable(contact)
     make_reliable(close, [NEAR] * len(close.collisionRequests))
     always, never = dict(parts), dict(parts)
-    for number, q in enumerate(poses):
-        if number % _REPORTED == 0:
-            report(number, len(always.keys() | never.keys()))
+    for q in poses:
         if never and pinocchio.computeCollisions(bodies.model, data, geometry, close, q, False):
             for pair in [
                 pair for pair in never if any(close.collisionResults[part].isCollision() for part in parts[pair])
@@ -228,7 +207,6 @@ def _open_pairs(
                     del always[pair]
         if not always and not never:
             break
-    report(len(poses), len(always.keys() | never.keys()))
     return always, never
 
 

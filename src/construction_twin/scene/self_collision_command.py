@@ -7,10 +7,9 @@ cannot use. Nothing is replaced: the proposal is a URDF of its own beside its me
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -18,6 +17,7 @@ import coal
 import numpy as np
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.files import check_writable, write_whole
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.scene.collision_bodies import RobotBodies, is_convex, mesh_triangles
 from construction_twin.scene.mesh_file import binary_stl
@@ -80,10 +80,6 @@ def propose_hulls(robot: RobotModel, folder: Path) -> list[str]:
     ]
 
 
-#: A line is printed each time this part of the poses is done.
-_PART = 0.25
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Sample a robot's self collisions and write the file."""
     options = _parser().parse_args(arguments)
@@ -91,15 +87,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(f"self_collision: found {options.samples} samples, seed {options.seed}; expected 1 or more, 0 or more")
     output = None if options.output == "-" else Path(options.output).absolute()
     try:
-        _check_folder(output)
+        if output is not None:
+            check_writable(output.parent)
         robot = read_robot_files(options.urdf, options.robot, options.robot_xacro_args)
         _check_owner(output, robot)
-        found = sample_self_collision(robot, options.samples, options.seed, progress(options.samples))
+        print(f"sampling {options.samples} poses", file=sys.stderr, flush=True)
+        found = sample_self_collision(robot, options.samples, options.seed)
         text = self_collision_yaml(robot, found, options.samples, options.seed)
         if output is None:
             print(text, end="")
             return
-        output.write_text(text, encoding="utf-8")
+        write_whole(output, text)
         print(f"{output}: {len(found.ignored)} pairs left out, geometry {found.geometry_hash[:12]} of {robot.name}")
         if not options.no_hulls:
             for line in propose_hulls(robot, output.with_name(f"{output.stem.removesuffix('_self_collision')}_hulls")):
@@ -139,26 +137,3 @@ def _check_owner(output: Path | None, robot: RobotModel) -> None:
         raise ConfigurationError(
             str(output), f"the file of robot {owner}", f"a new file for {robot.name}, or one of its own"
         )
-
-
-def progress(samples: int) -> Callable[[int, int], None]:
-    """Return a function that says on standard error how far the sampling is."""
-    reported = 0.0
-
-    def report(poses: int, pairs: int) -> None:
-        nonlocal reported
-        done = min(1.0, poses / samples)
-        if done - reported >= _PART or (done == 1.0 and reported < 1.0):
-            reported = done - done % _PART
-            print(f"sampling: {poses} of {samples} poses, {pairs} pairs not decided", file=sys.stderr, flush=True)
-
-    return report
-
-
-def _check_folder(output: Path | None) -> None:
-    """Refuse an output that cannot be written, before anything is computed."""
-    if output is None:
-        return
-    writable = output if output.exists() else output.parent
-    if output.is_dir() or not os.access(writable, os.W_OK):
-        raise ConfigurationError(str(output), "not writable", "a file in a folder that exists and can be written")

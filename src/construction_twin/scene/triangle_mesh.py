@@ -7,12 +7,7 @@ import numpy as np
 
 
 def surface(vertices: np.ndarray, triangles: np.ndarray) -> coal.BVHModelOBBRSS:
-    """Return triangles as a surface without an inside.
-
-    Args:
-        vertices: Shape (v, 3). [m]
-        triangles: Shape (t, 3), integers
-    """
+    """Return triangles as a surface without an inside: vertices, shape (v, 3), and three of them for each, shape (t, 3)."""
     mesh = coal.BVHModelOBBRSS()
     mesh.beginModel(len(triangles), len(vertices))
     mesh.addVertices(np.ascontiguousarray(vertices))

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from construction_twin.core.motion_errors import KinematicsError, NotFoundError, PoseRangeError, UnreachableError
 from construction_twin.kinematics.chain import Pose
-from construction_twin.kinematics.solution import InverseKinematics
+from construction_twin.kinematics.solution import InverseKinematics, NotFoundError, PoseRangeError, UnreachableError
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.motion_errors import KinematicsError
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.views.texts import range_sentence
 

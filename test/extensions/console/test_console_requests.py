@@ -23,13 +23,13 @@ from paho.mqtt.client import topic_matches_sub
 from std_srvs.srv import TriggerResponse
 
 from construction_twin.core.freshness import Moment
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.extensions.console.nodes import endpoint, requests
 from construction_twin.extensions.console.nodes.endpoint import Connection
 from construction_twin.extensions.console.nodes.requests import REPEAT_WINDOW, WAITING, ConsoleRequests, RobotContext
 from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.plan import Clearance
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES
 from construction_twin.views.reachability import PoseVerdict, Reach

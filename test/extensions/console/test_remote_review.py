@@ -16,13 +16,13 @@ from geometry_msgs.msg import Point
 from plan_samples import make_plan
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from construction_twin.core.motion_errors import TrajectoryError
 from construction_twin.extensions.console.nodes.shown_plan import plan_view
 from construction_twin.extensions.console.remote_review import (
     MAX_TRAJECTORY_NUMBERS,
     PlanBoard,
     shown,
 )
+from construction_twin.robot.motion_errors import TrajectoryError
 from construction_twin.robot.plan import content_hash
 from construction_twin.robot.segments import Segment, Signal, Switch
 from construction_twin.robot.trajectory import Trajectory

@@ -11,10 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from construction_twin.core.motion_errors import WaypointsError
 from construction_twin.extensions.planners.waypoint_file import format_waypoints, parse_waypoints
 from construction_twin.planning.timing import time_path
-from construction_twin.planning.waypoints import from_points, plan_waypoints
+from construction_twin.planning.waypoints import WaypointsError, from_points, plan_waypoints
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.trajectory import Trajectory
 

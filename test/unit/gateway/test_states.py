@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 from gateway_cell import Cell, following, gap, slow
 
-from construction_twin.core.state_table import Machine
+from construction_twin.gateway.machine import Machine
 from construction_twin.gateway.states import TABLE, Action, Event, Guard, State
 
 
@@ -32,6 +32,8 @@ def test_guards_and_actions_are_all_used_and_no_row_comes_twice():
     assert {row.action for row in TABLE} == set(Action)
     assert {row.event for row in TABLE} == set(Event)
     assert len(TABLE) == len(set(TABLE))
+    machine = Cell().gateway.machine
+    assert set(machine.guards) == set(Guard) and set(machine.actions) == set(Action)
 
 
 def test_nothing_leads_out_of_failed():

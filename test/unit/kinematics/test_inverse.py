@@ -23,17 +23,12 @@ from inverse_cases import (
     make_inverse,
 )
 
-from construction_twin.core.motion_errors import (
-    JointRangeError,
-    KinematicsError,
-    OrientationError,
-    PositionRangeError,
-    UnreachableError,
-)
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.closed_form import SLOTS, ClosedFormInverse
 from construction_twin.kinematics.inverse import Configuration, inverse_kinematics
+from construction_twin.kinematics.solution import OrientationError, PositionRangeError, UnreachableError
 from construction_twin.robot.frames import abc_to_rotation
+from construction_twin.robot.motion_errors import JointRangeError, KinematicsError
 
 INVERSE = make_inverse(KR120)
 CHAIN = INVERSE.chain

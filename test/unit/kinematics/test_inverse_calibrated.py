@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from inverse_cases import arm_of, assert_solves, make_inverse
 
-from construction_twin.core.motion_errors import KinematicsError, OrientationError, PositionRangeError
 from construction_twin.kinematics.chain import Pose
-from construction_twin.kinematics.solution import refine, residual
+from construction_twin.kinematics.solution import OrientationError, PositionRangeError, refine, residual
+from construction_twin.robot.motion_errors import KinematicsError
 
 #: Origins, x, y, z [m] and roll, pitch, yaw [rad], of shoulder to wrist_3 of a UR10e (calib_14405667343136254952), by the file
 #: left_ur10e_calibration.yaml of the repository bimanual_ur10e_motion_planner of Cable-Disentanglement-Workspace on GitHub.

@@ -15,10 +15,10 @@ from inverse_cases import TRACK, assert_solves, changed, joints, make_inverse
 from planning_cell import QUICK
 
 from construction_twin.core.freshness import Moment
-from construction_twin.core.motion_errors import CollisionError
 from construction_twin.kinematics.closed_form import SLOTS
 from construction_twin.kinematics.rail import find_rail
 from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
+from construction_twin.planning.recheck import CollisionError
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.self_collision import sample_self_collision

@@ -22,16 +22,11 @@ from inverse_cases import (
     make_inverse,
 )
 
-from construction_twin.core.motion_errors import (
-    NotFoundError,
-    OrientationError,
-    PositionRangeError,
-    UnreachableError,
-)
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.closed_form import SLOTS
 from construction_twin.kinematics.inverse import IkSettings
 from construction_twin.kinematics.numeric import NumericInverse
+from construction_twin.kinematics.solution import NotFoundError, OrientationError, PositionRangeError, UnreachableError
 from construction_twin.robot.frames import abc_to_rotation
 
 

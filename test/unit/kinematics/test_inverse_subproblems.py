@@ -21,13 +21,11 @@ from inverse_cases import (
 )
 from scipy.spatial.transform import Rotation
 
-from construction_twin.core.motion_errors import (
-    KinematicsError,
-    UnreachableOrientationError,
-)
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.numeric import NumericInverse
+from construction_twin.kinematics.solution import UnreachableOrientationError
 from construction_twin.kinematics.subproblems import SubproblemInverse, find_closed_form
+from construction_twin.robot.motion_errors import KinematicsError
 
 Z, Y, X = "0 0 1", "0 1 0", "1 0 0"
 NONE = "0 0 0"

@@ -16,9 +16,9 @@ from mock_cell import (
     step,
 )
 
-from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.core.units import radians
 from construction_twin.mock.servo import IdealServo
+from construction_twin.robot.motion_errors import JointRangeError
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
 
 

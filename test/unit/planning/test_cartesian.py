@@ -14,15 +14,16 @@ from limit_use import limit_use
 from rotations import rotation_angle
 from scipy.spatial.transform import Rotation
 
-from construction_twin.core.motion_errors import CartesianPathError, PlanningError
 from construction_twin.core.units import CYCLE
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import inverse_kinematics
 from construction_twin.kinematics.solution import IkSettings
 from construction_twin.planning.cartesian import DEVIATION_M, DEVIATION_RAD, plan_cartesian
+from construction_twin.planning.ik_branch import CartesianPathError
 from construction_twin.planning.timing import ACCELERATION_FRACTION, VELOCITY_FRACTION
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.robot.description import read_robot_files
+from construction_twin.robot.motion_errors import PlanningError
 
 ROOT = Path(__file__).parents[3]
 

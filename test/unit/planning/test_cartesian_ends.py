@@ -12,21 +12,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from construction_twin.core.motion_errors import (
-    CartesianPathError,
-    CollisionError,
-    JointRangeError,
-    PlanningError,
-    UnreachableError,
-)
 from construction_twin.kinematics.batch_kinematics import BatchKinematics
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import inverse_kinematics
-from construction_twin.kinematics.solution import IkSettings
+from construction_twin.kinematics.solution import IkSettings, UnreachableError
 from construction_twin.planning.cartesian import plan_cartesian
-from construction_twin.planning.ik_branch import SINGULAR
+from construction_twin.planning.ik_branch import SINGULAR, CartesianPathError
+from construction_twin.planning.recheck import CollisionError
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.robot.description import read_robot_files
+from construction_twin.robot.motion_errors import JointRangeError, PlanningError
 
 ROOT = Path(__file__).parents[3]
 CHAIN = Chain(read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml"))

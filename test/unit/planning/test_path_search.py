@@ -10,12 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from planning_cell import CHAIN, HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, ROOT, WALL, planner, world
 
-from construction_twin.core.motion_errors import NoPathError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.curves import rounded
 from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
-from construction_twin.planning.ompl_search import OmplSearch, PathQuery, shortened
+from construction_twin.planning.ompl_search import NoPathError, OmplSearch, PathQuery, shortened
 from construction_twin.planning.planner import Planner, PlannerSettings
 from construction_twin.robot.description import read_robot_files
 from construction_twin.scene.collision_world import CollisionWorld

@@ -16,23 +16,16 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment
-from construction_twin.core.motion_errors import (
-    CartesianPathError,
-    CollisionError,
-    NoSceneError,
-    PlanningError,
-    SceneChangedError,
-    SceneError,
-    WaypointsError,
-    WaypointTimesError,
-)
 from construction_twin.core.share import share_file
 from construction_twin.extensions.planners.waypoint_file import read_waypoints
 from construction_twin.kinematics.chain import Pose
-from construction_twin.planning.pipeline import PlanningPipeline
+from construction_twin.planning.ik_branch import CartesianPathError
+from construction_twin.planning.pipeline import NoSceneError, PlanningPipeline, SceneChangedError
 from construction_twin.planning.planner import PlannerSettings
+from construction_twin.planning.recheck import CollisionError
 from construction_twin.planning.tool_path import ToolWaypoint
-from construction_twin.planning.waypoints import from_points
+from construction_twin.planning.waypoints import WaypointsError, WaypointTimesError, from_points
+from construction_twin.robot.motion_errors import PlanningError, SceneError
 from construction_twin.ros.nodes import planner
 from construction_twin.ros.nodes.planner import plan_request, tool_waypoints, trajectory_waypoints
 from construction_twin.scene.objects import Scene, SceneObject

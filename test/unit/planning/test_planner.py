@@ -10,12 +10,8 @@ from limit_use import limit_use
 from planning_cell import CHAIN, HOME, QUICK, REQUEST, ROBOT, ROOT, planner, world
 
 from construction_twin.core.freshness import Moment
-from construction_twin.core.motion_errors import (
-    JointRangeError,
-    PlanningError,
-    TrajectoryError,
-)
 from construction_twin.planning.planner import PlannerSettings, PlanRequest
+from construction_twin.robot.motion_errors import JointRangeError, PlanningError, TrajectoryError
 
 GOAL = HOME + np.array([0.9, 0.4, -0.5, 1.0, -0.6, 2.0])
 EMPTY = world()

@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from limit_use import limit_use
 from planning_cell import CHAIN, HOME, LEFT, REQUEST, RIGHT, ROBOT, ROOT, WALL, bench_world, planner, solver, world
 
-from construction_twin.core.motion_errors import CollisionError, NoPathError, PlanningError
-from construction_twin.planning.ompl_search import ompl_planners
+from construction_twin.planning.ompl_search import NoPathError, ompl_planners
 from construction_twin.planning.planner import PlanRequest
+from construction_twin.planning.recheck import CollisionError
+from construction_twin.robot.motion_errors import PlanningError
 from construction_twin.scene.objects import Scene, SceneObject
 
 WALLED = world(WALL)

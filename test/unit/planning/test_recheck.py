@@ -10,9 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from construction_twin.core.motion_errors import CollisionError, LimitError
 from construction_twin.core.units import CYCLE
-from construction_twin.planning.recheck import check_limits, recheck
+from construction_twin.planning.recheck import CollisionError, LimitError, check_limits, recheck
 from construction_twin.planning.timing import VELOCITY_FRACTION, time_path
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.plan import Clearance

@@ -9,20 +9,17 @@ import numpy as np
 import pytest
 from planning_cell import CHAIN, HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, SELF_COLLISION, Clock, solver
 
-from construction_twin.core.motion_errors import (
-    CartesianPathError,
-    FarWaypointError,
-    NoSceneError,
-    PlanningError,
-    PlanSizeError,
-)
 from construction_twin.extensions.planners.waypoint_file import read_waypoints
 from construction_twin.kinematics.chain import Pose
-from construction_twin.planning.pipeline import PlanningPipeline
+from construction_twin.planning.cartesian import FarWaypointError
+from construction_twin.planning.ik_branch import CartesianPathError
+from construction_twin.planning.pipeline import NoSceneError, PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings
+from construction_twin.planning.request_limits import PlanSizeError
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.waypoints import from_points
+from construction_twin.robot.motion_errors import PlanningError
 from construction_twin.scene.objects import Scene
 
 START = CHAIN.forward(HOME)

@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 from limit_use import limit_use
 from planning_cell import HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, SELF_COLLISION, WALL, Clock, solver, world
 
-from construction_twin.core.motion_errors import RetimedCollisionError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.planning import motion_validator
 from construction_twin.planning.curves import interpolated, parameters, rounded, with_close_corners
-from construction_twin.planning.pipeline import PlanningPipeline
+from construction_twin.planning.pipeline import PlanningPipeline, RetimedCollisionError
 from construction_twin.planning.planner import CORNER_MISS, PlannerSettings
 from construction_twin.planning.waypoints import Waypoints, from_points
 from construction_twin.robot.plan import Plan

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from limit_use import limit_use
 from scipy.interpolate import CubicSpline
 
-from construction_twin.core.motion_errors import DurationError, JointRangeError, PlanningError, TrajectoryError
 from construction_twin.core.units import CYCLE, format_allowance
 from construction_twin.planning.curves import JointCurve
 from construction_twin.planning.limit_usage import sampled_usage
@@ -19,10 +18,12 @@ from construction_twin.planning.time_scaling import RestToRest
 from construction_twin.planning.timing import (
     ACCELERATION_FRACTION,
     VELOCITY_FRACTION,
+    DurationError,
     time_curve,
     time_path,
 )
 from construction_twin.robot.description import read_robot_files
+from construction_twin.robot.motion_errors import JointRangeError, PlanningError, TrajectoryError
 from construction_twin.robot.trajectory import Trajectory
 
 ROOT = Path(__file__).parents[3]

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from construction_twin.core.motion_errors import PlanningError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.tool_path import TURN_LENGTH, ToolPath, ToolWaypoint
+from construction_twin.robot.motion_errors import PlanningError
 
 ORIGIN = np.zeros(3)
 EYE = np.eye(3)

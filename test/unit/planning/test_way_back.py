@@ -9,16 +9,16 @@ from hypothesis import strategies as st
 from planning_cell import HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, SELF_COLLISION, WALL, Clock, solver, world
 
 from construction_twin.core.errors import ReviewError
-from construction_twin.core.motion_errors import CollisionError, PlanningError, SegmentError
 from construction_twin.core.units import CYCLE
 from construction_twin.execution.engagement import Engagement, check_way_back
 from construction_twin.planning.pipeline import PACE, PlanningPipeline, way_back
 from construction_twin.planning.planner import PlannerSettings
-from construction_twin.planning.recheck import recheck
+from construction_twin.planning.recheck import CollisionError, recheck
 from construction_twin.planning.timing import time_path
-from construction_twin.planning.work_plan import joined
+from construction_twin.planning.work_plan import SegmentError, joined
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.executed_path import LARGEST_ENTRY, WAY_BACK_TOLERANCE, ExecutedPath, nearest_on_lines
+from construction_twin.robot.motion_errors import PlanningError
 from construction_twin.robot.segments import Signal
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.objects import Scene

@@ -12,11 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from limit_use import limit_use
 
-from construction_twin.core.motion_errors import WaypointsError, WaypointTimesError
 from construction_twin.planning.limit_usage import sampled_usage
 from construction_twin.planning.timing import ACCELERATION_FRACTION, time_path
 from construction_twin.planning.waypoints import (
     START_TOLERANCE_RAD,
+    WaypointsError,
+    WaypointTimesError,
     asked_path,
     from_points,
     plan_waypoints,

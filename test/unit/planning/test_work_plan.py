@@ -13,26 +13,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planning_cell import HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, SELF_COLLISION, WALL, Clock, solver, standing, world
 
-from construction_twin.core.motion_errors import (
-    CollisionError,
-    LimitError,
-    PlanningError,
-    PlanSizeError,
-    SceneChangedError,
-    SceneError,
-    SegmentError,
-    TrajectoryError,
-)
 from construction_twin.core.units import CYCLE
 from construction_twin.extensions.planners.waypoint_file import format_plan, parse_waypoints
-from construction_twin.planning.pipeline import PlanningPipeline
+from construction_twin.planning.pipeline import PlanningPipeline, SceneChangedError
 from construction_twin.planning.planner import PlannerSettings
-from construction_twin.planning.recheck import recheck
-from construction_twin.planning.request_limits import PlanBounds
+from construction_twin.planning.recheck import CollisionError, LimitError, recheck
+from construction_twin.planning.request_limits import PlanBounds, PlanSizeError
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.waypoints import START_TOLERANCE_RAD
-from construction_twin.planning.work_plan import plan_work
+from construction_twin.planning.work_plan import SegmentError, plan_work
 from construction_twin.planning.work_segment import WorkSegment
+from construction_twin.robot.motion_errors import PlanningError, SceneError, TrajectoryError
 from construction_twin.robot.plan import Plan, content_hash
 from construction_twin.robot.segments import Signal, Switch
 from construction_twin.robot.trajectory import Trajectory

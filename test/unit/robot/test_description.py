@@ -10,12 +10,12 @@ import pytest
 import yaml
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.motion_errors import JointRangeError
 from construction_twin.robot.description import (
     AxisMapping,
     load_robot,
     read_robot_files,
 )
+from construction_twin.robot.motion_errors import JointRangeError
 from construction_twin.robot.urdf import expand_xacro
 
 ROOT = Path(__file__).parents[3]

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from construction_twin.core.motion_errors import KinematicsError
 from construction_twin.robot.frames import (
     abc_to_rotation,
     quaternion_to_rotation,
@@ -19,6 +18,7 @@ from construction_twin.robot.frames import (
     rpy_to_quaternion,
     rpy_to_rotation,
 )
+from construction_twin.robot.motion_errors import KinematicsError
 
 ANGLE = st.floats(-math.pi, math.pi)
 GIMBAL = st.sampled_from([math.pi / 2, -math.pi / 2])

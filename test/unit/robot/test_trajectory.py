@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from plan_samples import make_plan
 
-from construction_twin.core.motion_errors import TrajectoryError
+from construction_twin.robot.motion_errors import TrajectoryError
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.trajectory import Trajectory, whole_nanoseconds
 

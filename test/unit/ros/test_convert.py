@@ -12,7 +12,7 @@ from geometry_msgs.msg import Point, Quaternion, Transform, Vector3
 from geometry_msgs.msg import Pose as PoseMsg
 
 from construction_twin.core.freshness import Moment
-from construction_twin.core.motion_errors import TrajectoryError
+from construction_twin.robot.motion_errors import TrajectoryError
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport, content_hash
 from construction_twin.robot.segments import Segment, Signal, Switch
 from construction_twin.robot.trajectory import Trajectory

@@ -9,8 +9,7 @@ import tf2_ros
 from geometry_msgs.msg import TransformStamped
 from scene_samples import kr120
 
-from construction_twin.core.motion_errors import FrameError
-from construction_twin.ros.shared.frames import Frames
+from construction_twin.ros.shared.frames import FrameError, Frames
 
 
 def buffer_of(*frames: tuple[str, str, float]) -> tf2_ros.Buffer:

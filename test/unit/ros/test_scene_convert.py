@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scene_samples import FLOOR, box_triangles, clutter, write_stl
 from visualization_msgs.msg import Marker
 
-from construction_twin.core.motion_errors import SceneError
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.ros.messages import scene_convert as convert
 from construction_twin.scene.objects import Scene, SceneObject
 

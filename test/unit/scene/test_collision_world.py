@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scene_samples import FLOOR, clutter, kr120, kr120_pairs, random_poses, track7, track7_pairs, ur_like, ur_like_pairs
 
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.scene import collision_world as world_module
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject, relative

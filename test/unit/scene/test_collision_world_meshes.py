@@ -7,9 +7,9 @@ import pytest
 from scene_samples import box_triangles, bracket_triangles, kr120, kr120_pairs, random_poses, write_obj, write_stl
 from scipy.spatial import ConvexHull
 
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.robot.description import RobotModel, load_robot
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.scene.collision_bodies import is_convex, mesh_triangles, scene_geometry
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject

@@ -8,10 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scene_samples import ROOT, kr120, kr120_pairs, track7, track7_pairs
 
-from construction_twin.core.motion_errors import CollisionError
 from construction_twin.core.units import CYCLE
 from construction_twin.kinematics.chain import Chain
-from construction_twin.planning.recheck import recheck
+from construction_twin.planning.recheck import CollisionError, recheck
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.trajectory import Trajectory

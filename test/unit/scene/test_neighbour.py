@@ -12,9 +12,10 @@ from neighbour_cell import AWAY, BESIDE, CLEAR, NEAR, STRETCHED, TOWARDS, body_p
 from planning_cell import HOME, QUICK, REQUEST, ROBOT, SELF_COLLISION, Clock, solver
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.motion_errors import CollisionError, NeighbourUnknownError
 from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings
+from construction_twin.planning.recheck import CollisionError
+from construction_twin.ros.shared.arm_listener import NeighbourUnknownError
 from construction_twin.scene.cell import load_cell
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.neighbour import ROUNDING, STEP, Neighbour, key_rows

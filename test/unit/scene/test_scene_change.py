@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scene_samples import FLOOR, clutter
 
-from construction_twin.core.motion_errors import SceneError
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
 

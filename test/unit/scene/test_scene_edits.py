@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scene_samples import FLOOR, box_triangles, clutter, write_stl
 
-from construction_twin.core.motion_errors import SceneError
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.scene.edits import SceneFile
 from construction_twin.scene.objects import Scene, SceneObject
 

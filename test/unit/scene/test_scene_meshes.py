@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scene_samples import FLOOR, box_triangles, bracket_triangles, kr120, kr120_pairs, write_obj, write_stl
 
-from construction_twin.core.motion_errors import SceneError
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.scene import mesh_file
 from construction_twin.scene.collision_bodies import scene_geometry
 from construction_twin.scene.collision_world import CollisionWorld

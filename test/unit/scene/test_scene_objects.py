@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scene_samples import FLOOR, ROOT, box_triangles, clutter, write_stl
 
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import abc_to_rotation
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_yaml import load_scene
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from planning_cell import CHAIN, HOME, REQUEST, planner, world
 
-from construction_twin.core.motion_errors import CollisionError, SceneError
+from construction_twin.planning.recheck import CollisionError
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.scene.objects import Scene, SceneObject, relative
 from construction_twin.scene.scene_yaml import load_scene
 

@@ -219,7 +219,7 @@ def test_a_mesh_arm_with_its_proposal_of_hulls_beside_the_file(tmp_path, capsys)
     proposal = tmp_path / "my_hulls" / "robot.urdf"
     assert f"{proposal}: a proposal, convex hulls in place of 5 meshes" in said.out
     assert all(f"\n  {link} " in said.out for link in ("shoulder", "upper_arm", "forearm", "wrist_a", "wrist_b"))
-    assert said.err.splitlines()[-1] == "sampling: 2000 of 2000 poses, 0 pairs not decided"
+    assert said.err == "sampling 2000 poses\n"
     # it is a URDF that every command takes; what was found for the meshes does not hold for it
     assert read_robot_files(proposal, robot_yaml).joint_names == read_robot_files(urdf, robot_yaml).joint_names
     main([str(proposal), str(robot_yaml), "-", "--samples", "300"])

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from inverse_cases import SEARCHED, make_inverse
 from planning_cell import CHAIN, HOME, ROBOT, WALL, solver, world
 
-from construction_twin.core.motion_errors import KinematicsError, OrientationError, UnreachableError
 from construction_twin.kinematics.chain import Pose
+from construction_twin.kinematics.solution import OrientationError, UnreachableError
+from construction_twin.robot.motion_errors import KinematicsError
 from construction_twin.ros.nodes.tool_marker import COLOURS
 from construction_twin.scene.objects import SceneObject
 from construction_twin.views.reachability import Reach, judge_pose, why_out

@@ -43,12 +43,7 @@ class Tolerances:
         return cls(position, free, free)
 
     def asked(self, robot: RobotModel, asked: Iterable[Any]) -> Tolerances:
-        """Return these tolerances with what a goal asks for in their place: control_msgs/JointTolerance, joints in any order.
-
-        Raises:
-            GoalJointsError: Naming a joint that is none of the robot's.
-            GoalError: Naming a joint that comes twice, or joint and value that is not a number.
-        """
+        """Return these tolerances with what a goal asks for in their place: control_msgs/JointTolerance, joints in any order."""
         columns = {quantity: list(getattr(self, quantity)) for quantity in QUANTITIES}
         named: set[str] = set()
         for one in asked:

@@ -6,15 +6,14 @@ around it talks to planner, executor and clients. Times are on the monotonic clo
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
 from construction_twin.core.sentences import Sentence, both
-from construction_twin.core.state_table import Machine, Occasion, conditions
+from construction_twin.core.state_table import row_of
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.states import ACTIVE, ExecutorState
-from construction_twin.extensions.planners.goal_states import ROWS, Action, GoalEvent, GoalState, Guard, Row
+from construction_twin.extensions.planners.goal_states import ROWS, Action, GoalEvent, GoalState
 from construction_twin.extensions.planners.joint_tolerances import Tolerances
 from construction_twin.extensions.planners.tracking import Sample
 from construction_twin.review.plan_under_review import EXECUTOR
@@ -161,44 +160,31 @@ _FAILURES = {
 
 
 class TrajectoryGoals:
-    """Takes goals, one at a time, and says what has to be done about them."""
+    """Takes goals, one at a time, and says what has to be done about them.
+
+    Attributes:
+        plan: Of the goal that has the arm; None before the planner has answered.
+    """
 
     def __init__(self, robot: RobotModel, reviewed_by: str):
         self._robot = robot
         self._reviewed_by = reviewed_by
         self._report = _PlanReport()
-        self._machine = Machine(
-            ROWS,
-            GoalState.FREE,
-            "",
-            conditions({Guard.BUSY: lambda _occasion: self._report.state in ACTIVE}),
-            {action: self._action(action) for action in Action if action is not Action.NOTHING},
-            after=self._after,
-        )
+        self.state = GoalState.FREE
         self.goal: TrajectoryGoal | None = None
         self._client = ""
-        self._plan: GoalPlan | None = None
+        self.plan: GoalPlan | None = None
         self._next: TrajectoryGoal | None = None
         self._coming: TrajectoryGoal | None = None
         self._why = ""
-        self._retry_at = self._since = self._now = 0
+        self._retry_at = self._since = 0
         self._turned_down: dict[str, str] = {}
         self._effects: list[Effect] = []
 
     @property
-    def state(self) -> GoalState:
-        """What becomes of the goal."""
-        return self._machine.state
-
-    @property
-    def plan(self) -> GoalPlan | None:
-        """The plan of the goal that has the arm; None before the planner has answered."""
-        return self._plan
-
-    @property
     def plan_start(self) -> int:
         """Stamp of the first setpoint of the goal's plan [ns]; 0: it has not begun, or the executor plays another one."""
-        return self._report.start if self._plan is not None and self._plan.id == self._report.plan_id else 0
+        return self._report.start if self.plan is not None and self.plan.id == self._report.plan_id else 0
 
     def take_effects(self) -> list[Effect]:
         """Return what has to be done since the last call, in this order."""
@@ -209,9 +195,9 @@ class TrajectoryGoals:
         """Return the state as one sentence, for operators."""
         if self.state is GoalState.FREE:
             return Sentence("no goal")
-        if self._plan is None:
+        if self.plan is None:
             return Sentence("goal of {client} is {state}", client=self._client, state=self.state.value)
-        values = {"client": self._client, "state": self.state.value, "plan": self._plan.id}
+        values = {"client": self._client, "state": self.state.value, "plan": self.plan.id}
         return Sentence("goal of {client} is {state}, plan {plan}", **values)
 
     # -- what clients ask
@@ -228,7 +214,7 @@ class TrajectoryGoals:
         elif self.state in TAKEN_OVER and self.goal is not None and goal.motion == self.goal.motion:
             self._finish(Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, REPLACED)
             self.goal = goal
-            if self._plan is not None:
+            if self.plan is not None:
                 self._accept()
         else:
             if self._next is not None:
@@ -266,7 +252,7 @@ class TrajectoryGoals:
 
     def on_planned(self, plan: GoalPlan, now: int) -> None:
         """Take the plan that was made of the goal; it is under review."""
-        self._plan = plan
+        self.plan = plan
         self._on(GoalEvent.PLANNED, now)
         # verdict and execution travel on connections of their own and may have been faster
         if plan.id in self._turned_down:
@@ -283,7 +269,7 @@ class TrajectoryGoals:
     def on_verdict(self, plan_id: str, approved: bool, reviewer: str, reason: str, now: int) -> None:
         """Take a verdict on a plan; an approval counts when the executor begins."""
         if approved:
-            if self._plan is not None and plan_id == self._plan.id and self.state is GoalState.REVIEW:
+            if self.plan is not None and plan_id == self.plan.id and self.state is GoalState.REVIEW:
                 self._tell(Sentence("plan {plan} was approved by {reviewer}", plan=plan_id, reviewer=reviewer))
             return
         sentence = Sentence("plan {plan} was rejected by {reviewer}", plan=plan_id, reviewer=reviewer)
@@ -294,21 +280,21 @@ class TrajectoryGoals:
         self._turned_down[plan_id] = sentence
         if len(self._turned_down) > VERDICTS:
             del self._turned_down[next(iter(self._turned_down))]
-        if self._plan is not None and plan_id == self._plan.id:
+        if self.plan is not None and plan_id == self.plan.id:
             self._on(GoalEvent.TURNED_DOWN, now, sentence)
 
     def on_execution(self, plan_id: str, state: ExecutorState, outcome: str, reason: str, start: int, now: int) -> None:
         """Take what the executor does, with the plan that it plays or played last, and the stamp at which that began [ns]."""
         before, self._report = self._report, _PlanReport(plan_id, state, outcome, reason, start)
-        if self._plan is None:
+        if self.plan is None:
             return
-        if plan_id == self._plan.id:
+        if plan_id == self.plan.id:
             moving = self.state is GoalState.MOVING
             self._follow_execution(now)
             if moving and self.state is GoalState.MOVING and before.state is not state:
                 self._tell(f"{state.name}: {reason}")
         elif self.state in PLAYED:
-            lost = Sentence("the executor no longer plays plan {plan}: {reason}", plan=self._plan.id, reason=reason)
+            lost = Sentence("the executor no longer plays plan {plan}: {reason}", plan=self.plan.id, reason=reason)
             self._on(GoalEvent.LOST, now, lost)
 
     def on_call_failed(self, now: int) -> None:
@@ -319,7 +305,6 @@ class TrajectoryGoals:
 
     def tick(self, now: int, sample: Sample | None, at_rest: bool, settled: bool) -> None:
         """Take the time, the newest sample, and whether the twin, and then the arm, is at rest."""
-        self._now = now
         if self._retry_at and now >= self._retry_at:
             self._retry_at = 0
             self._repeat()
@@ -355,8 +340,8 @@ class TrajectoryGoals:
 
     @property
     def _planned(self) -> GoalPlan:
-        assert self._plan is not None  # the planner has answered in every state in which this is asked for
-        return self._plan
+        assert self.plan is not None  # the planner has answered in every state in which this is asked for
+        return self.plan
 
     def _follow_execution(self, now: int) -> None:
         report = self._report
@@ -368,21 +353,19 @@ class TrajectoryGoals:
             self._on(GoalEvent.ENDED, now, report.reason)
 
     def _on(self, event: GoalEvent, now: int, reason: str = "") -> None:
-        """Take an event: the first row of the table whose guard is true counts; without one nothing changes."""
-        self._now = now
-        self._machine.on(event, Occasion(reason, now))
-
-    def _action(self, action: Action) -> Callable[[Row, Occasion], None]:
-        if action in _FAILURES:
-            return lambda row, occasion: self._finish(*_FAILURES[action], occasion.reason)
-        act = getattr(self, f"_{action.name.lower()}")
-        return lambda row, occasion: act()
-
-    def _after(self, row: Row, occasion: Occasion) -> None:
-        if row.target is not row.state:
-            self._since, self._retry_at = occasion.now, 0
+        """Apply the first row of the table whose guard is true; without one nothing changes."""
+        row = row_of(ROWS, self.state, event, lambda _busy: self._report.state in ACTIVE)
+        if row is None:
+            return
+        if row.action in _FAILURES:
+            self._finish(*_FAILURES[row.action], reason)
+        elif row.action is not Action.NOTHING:
+            getattr(self, f"_{row.action.name.lower()}")()
+        if row.target is not None and row.target is not self.state:
+            self.state = row.target
+            self._since, self._retry_at = now, 0
         if self.state is GoalState.FREE:
-            self.goal = self._plan = None
+            self.goal = self.plan = None
             self._why = ""
 
     # -- actions: one method for each of the table that is none of `_FAILURES`

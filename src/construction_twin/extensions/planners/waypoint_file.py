@@ -25,9 +25,9 @@ from pathlib import Path
 import numpy as np
 
 from construction_twin.core.files import read_file
-from construction_twin.core.motion_errors import PlanningError, WaypointsError
-from construction_twin.planning.waypoints import Unit, Waypoints, check_finite
+from construction_twin.planning.waypoints import Unit, Waypoints, WaypointsError, check_finite
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.motion_errors import PlanningError
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.trajectory import Trajectory
 
@@ -42,7 +42,8 @@ _DECIMAL_COMMA = re.compile(r"^[+-]?\d*,\d+(?:[eE][+-]?\d+)?$", re.ASCII)
 _TIME = "time_s"
 #: Suffixes of the columns of velocities and accelerations.
 _RATES = {"_s": "velocities", "_s2": "accelerations"}
-
+#: The place of a column among all, and its unit.
+_Column = tuple[int, str]
 
 #: Largest CSV file [bytes]: 20000 waypoints with velocities, 15 columns of 20 characters, are 6 MiB.
 _LARGEST_FILE = 16 * 2**20
@@ -71,13 +72,6 @@ def parse_waypoints(text: str, robot: RobotModel, columns: str = "") -> Waypoint
         columns: For a file without a line of names: the names of its columns, separated by commas. ``joints_rad`` and
             ``joints_deg`` stand for a column of every joint in the robot's order (a prismatic joint: in m, in mm), ``joints_rad_s``
             and ``joints_rad_s2`` for its velocities and accelerations. Empty: the file names them.
-
-
-    Returns:
-        `rows` are the file's lines, from 1.
-
-    Raises:
-        WaypointsError: Naming the line, the column, what was found and what was expected.
     """
     lines = [
         (number, line.split("#", 1)[0].strip()) for number, line in enumerate(text.lstrip("\ufeff").splitlines(), 1)
@@ -94,32 +88,33 @@ def parse_waypoints(text: str, robot: RobotModel, columns: str = "") -> Waypoint
             found = f"line {first_line} begins with {cells[0]!r}; expected numbers alone where columns are told"
             raise WaypointsError(found, first_line)
         names = _column_names(columns, robot)
-        _check_columns("columns", None, names, robot)
+        found_columns = _checked_columns("columns", None, names, robot)
     else:
         if numbers_alone:
             told = f"a file of numbers alone needs its columns told: --columns {_TIME},joints_rad (or joints_deg)"
             raise WaypointsError(f"line {first_line}: {len(cells)} numbers; {_expected(robot)}; {told}", first_line)
         names = cells
-        _check_columns(f"line {first_line}", first_line, names, robot)
+        found_columns = _checked_columns(f"line {first_line}", first_line, names, robot)
         lines = lines[1:]
     values = np.array([_numbers(number, line, separator, names) for number, line in lines])
     values = values.reshape(len(lines), len(names))
-    by_name = dict(zip(names, values.T))
-    if len(lines) == 1 and not np.any(by_name.get(_TIME, 0.0)):
+    times = values[:, found_columns[_TIME, ""][0]] if (_TIME, "") in found_columns else None
+    if len(lines) == 1 and (times is None or not np.any(times)):
         # the goal of a motion from the present pose, whose time says how long it takes: with 0 s it is not timed, nor is its speed
-        names = [name for name in names if name == _TIME or not _COLUMN.match(name)["rate"]]  # type: ignore[index]
-        by_name.pop(_TIME, None)
-    units, positions = _joint_values(by_name, robot, "")
-    derivatives = {
-        kind: _joint_values(by_name, robot, rate)[1] if _given(names, rate) else None for rate, kind in _RATES.items()
-    }
+        times = None
+        found_columns = {key: column for key, column in found_columns.items() if not key[1]}
+    position_columns = [found_columns[name, ""] for name in robot.joint_names]
     waypoints = Waypoints(
         rows=tuple(number for number, _ in lines),
         row_name="line",
-        units=units,
-        positions=positions,
-        times=by_name.get(_TIME),
-        **derivatives,
+        units=tuple(Unit(unit, _FACTORS[unit]) for _, unit in position_columns),
+        positions=_in_si(values, position_columns),
+        times=times,
+        **{
+            kind: _in_si(values, [found_columns[name, rate] for name in robot.joint_names])
+            for rate, kind in _RATES.items()
+            if (robot.joint_names[0], rate) in found_columns
+        },
     )
     check_finite(waypoints, robot)
     return waypoints
@@ -173,43 +168,41 @@ def _column_names(columns: str, robot: RobotModel) -> list[str]:
     return names
 
 
-def _given(names: Iterable[str], rate: str) -> bool:
-    """Return whether there are columns of velocities, or of accelerations."""
-    return any(name != _TIME and (match := _COLUMN.match(name)) and match["rate"] == rate for name in names)
-
-
-def _check_columns(place: str, line: int | None, columns: list[str], robot: RobotModel) -> None:
-    counts: dict[str, str] = {}
-    for name in columns:
+def _checked_columns(
+    place: str, line: int | None, names: list[str], robot: RobotModel
+) -> dict[tuple[str, str], _Column]:
+    """Return the column of each joint and rate, "" for its position; the time's is that of `_TIME`."""
+    found: dict[tuple[str, str], _Column] = {}
+    for index, name in enumerate(names):
+        match = _COLUMN.match(name)
         if name == _TIME:
-            key = name
+            key, unit = (_TIME, ""), "s"
+        elif match is None or match["joint"] not in robot.joint_names:
+            raise WaypointsError(f"{place}: unknown column {name!r}; {_expected(robot)}", line, "", name)
         else:
-            match = _COLUMN.match(name)
-            if match is None or match["joint"] not in robot.joint_names:
-                found = f"{place}: unknown column {name!r}; {_expected(robot)}"
-                raise WaypointsError(found, line, "", name)
-            linear = robot.linear[robot.joint_names.index(match["joint"])]
-            if (match["unit"] in ("mm", "m")) != linear:
+            key, unit = (match["joint"], match["rate"] or ""), match["unit"]
+            linear = robot.linear[robot.joint_names.index(key[0])]
+            if (unit in ("mm", "m")) != linear:
                 kind, units = ("prismatic", "mm or m") if linear else ("revolute", "deg or rad")
-                found = f"{place}: column {name!r} of a {kind} joint; expected its unit to be {units}"
-                raise WaypointsError(found, line, match["joint"], name)
-            key = match["joint"] + (match["rate"] or "")
-        if key in counts:
-            found = f"{place}: columns {counts[key]!r} and {name!r} are the same; expected one"
-            raise WaypointsError(found, line)
-        counts[key] = name
-    missing = [name for name in robot.joint_names if name not in counts]
+                problem = f"{place}: column {name!r} of a {kind} joint; expected its unit to be {units}"
+                raise WaypointsError(problem, line, key[0], name)
+        if key in found:
+            same = f"{place}: columns {names[found[key][0]]!r} and {name!r} are the same; expected one"
+            raise WaypointsError(same, line)
+        found[key] = index, unit
+    missing = [name for name in robot.joint_names if (name, "") not in found]
     if missing:
         raise WaypointsError(f"{place}: no column for {', '.join(missing)}; {_expected(robot)}", line, missing[0])
     needs = {
-        "_s": ("velocities", _TIME in counts, _TIME),
-        "_s2": ("accelerations", _given(columns, "_s"), "velocities"),
+        "_s": ("velocities", (_TIME, ""), _TIME),
+        "_s2": ("accelerations", (robot.joint_names[0], "_s"), "velocities"),
     }
-    for rate, (kind, there, needed) in needs.items():
-        named = [name for name in robot.joint_names if f"{name}{rate}" in counts]
-        if named and (len(named) < len(robot.joint_names) or not there):
-            found = f"{place}: {kind} need a column for every joint, and {needed}"
-            raise WaypointsError(found, line, named[0])
+    for rate, (kind, needed, what) in needs.items():
+        named = [name for name in robot.joint_names if (name, rate) in found]
+        if named and (len(named) < len(robot.joint_names) or needed not in found):
+            problem = f"{place}: {kind} need a column for every joint, and {what}"
+            raise WaypointsError(problem, line, named[0])
+    return found
 
 
 def _expected(robot: RobotModel) -> str:
@@ -237,11 +230,6 @@ def _numbers(line: int, text: str, separator: str, columns: list[str]) -> list[f
     return numbers
 
 
-def _joint_values(by_name: dict, robot: RobotModel, suffix: str) -> tuple[tuple[Unit, ...], np.ndarray]:
-    """Return the columns of all joints in SI, in the robot's order."""
-    units, columns = [], []
-    for joint in robot.joint_names:
-        unit = next(unit for unit in _FACTORS if f"{joint}_{unit}{suffix}" in by_name)
-        units.append(Unit(unit, _FACTORS[unit]))
-        columns.append(by_name[f"{joint}_{unit}{suffix}"] * _FACTORS[unit])
-    return tuple(units), np.column_stack(columns)
+def _in_si(values: np.ndarray, columns: list[_Column]) -> np.ndarray:
+    """Return some columns in SI."""
+    return values[:, [index for index, _ in columns]] * [_FACTORS[unit] for _, unit in columns]

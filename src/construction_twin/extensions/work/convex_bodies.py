@@ -13,8 +13,8 @@ import coal
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.scene.collision_bodies import scene_geometry
 from construction_twin.scene.mesh_file import parse_mesh
 from construction_twin.scene.objects import SceneObject, read_mesh_file

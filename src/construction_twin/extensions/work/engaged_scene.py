@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.reports import EngagementReport
 from construction_twin.core.sentences import Sentence
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.segments import Segment
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange

@@ -15,14 +15,13 @@ from typing import Any
 import numpy as np
 
 from construction_twin.core.clock import Clock
-from construction_twin.core.motion_errors import KinematicsError, PlanningError, UnreachableError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.extensions.work.contacts import Shapes, difference
 from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.extensions.work.process import REACH, Recipe, Recipes, TaskMotions, WorkJob, process_of
 from construction_twin.kinematics.chain import Pose
-from construction_twin.kinematics.solution import InverseKinematics
+from construction_twin.kinematics.solution import InverseKinematics, UnreachableError
 from construction_twin.planning.cartesian import plan_cartesian
 from construction_twin.planning.limit_usage import cycle_times
 from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
@@ -30,6 +29,7 @@ from construction_twin.planning.recheck import check_free, check_limits
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import JointValues, RobotModel
+from construction_twin.robot.motion_errors import KinematicsError, PlanningError
 from construction_twin.robot.segments import Signal, Switch
 from construction_twin.robot.tool import ToolFile
 from construction_twin.robot.trajectory import Trajectory

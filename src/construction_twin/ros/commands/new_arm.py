@@ -244,7 +244,7 @@ def _settle(
     for _ in range(_ATTEMPTS):
         description = with_home(description, home.q)
         robot = load_robot(robot.urdf, description)
-        pairs = sample_self_collision(robot, samples, SEED, self_collision_command.progress(samples))
+        pairs = sample_self_collision(robot, samples, SEED)
         world = CollisionWorld(robot, scene, pairs)
         if world.is_free(robot.home):
             measured = world.clearance(robot.home)

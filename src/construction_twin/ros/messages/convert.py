@@ -12,7 +12,6 @@ from geometry_msgs.msg import Pose as PoseMsg
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.freshness import parse_moment
-from construction_twin.core.motion_errors import TrajectoryError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.kinematics.chain import Pose
 from construction_twin.msg import Plan as PlanMsg
@@ -22,6 +21,7 @@ from construction_twin.msg import ToolSwitch
 from construction_twin.msg import WorkSegment as WorkSegmentMsg
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.frames import quaternion_to_rotation, rotation_to_quaternion
+from construction_twin.robot.motion_errors import TrajectoryError
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
 from construction_twin.robot.segments import Segment, Signal, Switch
 from construction_twin.robot.trajectory import Trajectory

@@ -10,11 +10,11 @@ from geometry_msgs.msg import Pose as PoseMsg
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.msg import SceneObject as ObjectMsg
 from construction_twin.robot.frames import rotation_to_quaternion
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.scene.objects import Scene, SceneObject
 

@@ -9,7 +9,6 @@ import rosgraph
 import rospy
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.motion_errors import NeighbourUnknownError
 from construction_twin.core.sentences import Sentence
 from construction_twin.msg import Conflict as ConflictMsg
 from construction_twin.robot.description import RobotModel
@@ -22,6 +21,7 @@ from construction_twin.ros.shared.arm_listener import (
     ArmListener,
     Claim,
     NeighbourSettings,
+    NeighbourUnknownError,
     OtherArm,
     await_robot,
     listen_to_other_arm,

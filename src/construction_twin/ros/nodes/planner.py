@@ -16,7 +16,6 @@ from trajectory_msgs.msg import JointTrajectory
 from construction_twin import msg, srv
 from construction_twin.core.extensions import extension
 from construction_twin.core.freshness import parse_moment, present
-from construction_twin.core.motion_errors import EngagedError, PlanningError, SceneError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.engagement import scene_problem
@@ -30,6 +29,7 @@ from construction_twin.planning.waypoints import Waypoints, from_points
 from construction_twin.planning.work_plan import in_segment
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.executed_path import ExecutedPath
+from construction_twin.robot.motion_errors import PlanningError, SceneError
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.segments import Signal
 from construction_twin.ros.messages.convert import (
@@ -50,6 +50,21 @@ from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import product
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.scene.self_collision import read_self_collision
+
+
+class EngagedError(PlanningError):
+    """The arm was left inside an engaged segment of a work plan: only the way back along the executed path can be planned."""
+
+    def __init__(self, task: str, segment: str, reason: str):
+        super().__init__(
+            Sentence(
+                "the arm was left in {segment} of task {task}{why}: only the way back along its path can be planned "
+                "(plan_way_back, twin back), until its end, or until release_engagement says that it is free",
+                segment=repr(segment),
+                task=task,
+                why=f" ({reason})" if reason else "",
+            )
+        )
 
 
 def plan_request(request, source: str = "request") -> PlanRequest:

@@ -15,8 +15,8 @@ from visualization_msgs.msg import MarkerArray
 from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
 from construction_twin.core.extensions import ExtensionAbsent, extension
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.ros.messages.convert import pose_from_msg
 from construction_twin.ros.messages.scene_convert import object_from_msg, scene_markers, scene_to_msg
 from construction_twin.ros.shared import node_shell as shell

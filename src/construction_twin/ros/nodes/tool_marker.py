@@ -29,12 +29,12 @@ from visualization_msgs.msg import (
 )
 
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
-from construction_twin.core.motion_errors import KinematicsError, SceneError
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.msg import Execution
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.motion_errors import KinematicsError, SceneError
 from construction_twin.ros.messages.convert import pose_from_msg, pose_to_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
 from construction_twin.ros.shared import node_shell as shell

@@ -14,12 +14,12 @@ import rosgraph
 import rospy
 
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError
-from construction_twin.core.motion_errors import NeighbourUnknownError, SceneError
 from construction_twin.core.sentences import Sentence
 from construction_twin.execution.states import ACTIVE, ExecutorState
 from construction_twin.msg import Execution, Plan, Scene
 from construction_twin.planning.limit_usage import cycle_times
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.motion_errors import PlanningError, SceneError
 from construction_twin.robot.plan import Plan as PlanValue
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
@@ -31,6 +31,20 @@ from construction_twin.scene.cell import load_cell
 from construction_twin.scene.neighbour import Neighbour, Obstacle
 from construction_twin.scene.objects import Scene as SceneValue
 from construction_twin.scene.objects import SceneObject
+
+
+class NeighbourUnknownError(PlanningError):
+    """Where the other arm is, or goes, is not published; it is never taken to be absent."""
+
+    def __init__(self, neighbour: str, problem: str):
+        super().__init__(
+            Sentence(
+                "where {neighbour} is, or goes, is not known: {problem}; start it, or this robot without a neighbour",
+                neighbour=neighbour,
+                problem=problem,
+            )
+        )
+
 
 Refuse = Callable[[str, str], None]
 #: Oldest pose of the other arm that counts [s since its reception]. The poses come 250 times a second.

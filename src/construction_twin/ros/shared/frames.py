@@ -7,7 +7,7 @@ that publishes it, until it is gone. Nothing is looked up in ``<robot>/simulated
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -17,13 +17,26 @@ import tf2_ros
 import yaml
 from tf2_msgs.msg import TFMessage
 
-from construction_twin.core.motion_errors import FrameError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.motion_errors import PlanningError
 from construction_twin.robot.urdf import parse_urdf
 from construction_twin.ros.messages.convert import pose_from_transform_msg
 from construction_twin.ros.messages.scene_convert import tf_frame
 from construction_twin.ros.transport.subscriber import PUBLISHER, Subscriber, caller_of
+
+
+class FrameError(PlanningError):
+    """A frame is not known; of the known ones, of which tf may have hundreds, `LISTED` are told."""
+
+    LISTED = 40
+
+    def __init__(self, frame: str, base: str, cause: str, known: Sequence[str]):
+        listed = ", ".join(known[: self.LISTED])
+        if len(known) > self.LISTED:
+            listed += f" and {len(known) - self.LISTED} more"
+        super().__init__(f"no transform from frame {frame!r} to {base!r}: {cause}; known are {listed}")
+
 
 #: Who publishes the frames of a robot's trees, by the tree's name, in the robot's namespace.
 PUBLISHERS = {

@@ -9,12 +9,12 @@ from bisect import bisect_left
 from visualization_msgs.msg import Marker, MarkerArray
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.msg import Execution, Plan, Rehearsal, Review
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.review.rehearsal_report import RehearsalReport, is_whole
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.plan import Plan as MadePlan
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
 from construction_twin.ros.messages.display_markers import (

@@ -12,10 +12,10 @@ import genpy
 import rospy
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SyncReport
 from construction_twin.msg import Execution, Hold, Link, Plan, PlanCaller, Review, Sync
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.plan import Plan as PlanValue
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
 from construction_twin.ros.messages.records import from_msg

@@ -18,7 +18,6 @@ from genpy import Message
 
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
 from construction_twin.core.freshness import present
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.reports import (
     ExecutionReport,
@@ -54,6 +53,7 @@ from construction_twin.msg import SessionRequest as SessionRequestMessage
 from construction_twin.msg import SpeedChange as SpeedChangeMessage
 from construction_twin.review.plan_under_review import EXECUTOR
 from construction_twin.review.rehearsal_report import FAILED, PASSED, RehearsalReport
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.outcome import Outcome

@@ -15,7 +15,6 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import ConfigurationError, PayloadError
 from construction_twin.core.extensions import extension
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.extensions.console.nodes.endpoint import Connection, Incoming, NewestQueue, RequestQueue
@@ -24,6 +23,7 @@ from construction_twin.link.requests import GoalRequest, IkRequest, Joints, read
 from construction_twin.mqtt.requests import IK, NAMELESS_TRAJECTORY, PLAN_REQUEST, TRAJECTORY
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.frames import quaternion_to_rotation
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.persistent_service import call

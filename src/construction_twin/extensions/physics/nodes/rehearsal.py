@@ -16,7 +16,6 @@ import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.extensions import check_extras
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.worker import Worker
 from construction_twin.extensions.physics.drive import read_drives
@@ -28,6 +27,7 @@ from construction_twin.msg import Rehearsal, Review, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.review.rehearsal_report import BROKEN, PASSED, RehearsalReport, finished, first_reason
 from construction_twin.robot.description import RobotModel
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.tool import read_tool, tool_hash
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg

@@ -40,10 +40,7 @@ class GoalServer(ActionServer):
     about what is published while the node ends.
 
     Args:
-        name: Of the action.
-        kind: Of the action: ``...Action``.
         on_goal, on_cancel: Take the goal's handle; in rospy's threads, with the server's lock held.
-        refused: See `Subscriber`.
         recalled: Returns the result of a goal that was cancelled before it came, from a sentence.
     """
 
@@ -135,11 +132,7 @@ class GoalDefaults:
 
 
 def control_messages() -> ModuleType:
-    """Return `control_msgs.msg`: the official one where it is installed, else the one made from setup/control_msgs.
-
-    Raises:
-        ConfigurationError: When there is none, or its action is another one; with what to do.
-    """
+    """Return `control_msgs.msg`: the official one where it is installed, else the one made from setup/control_msgs."""
     to_do = (
         "the package of ROS (apt-get install ros-noetic-control-msgs), or ours: cp -r $(rospack find "
         "construction_twin)/setup/control_msgs into the src folder of your workspace, and "
@@ -158,16 +151,7 @@ def control_messages() -> ModuleType:
 
 
 def trajectory_goal(goal, goal_id: str, client: str, robot: RobotModel, defaults: GoalDefaults) -> TrajectoryGoal:
-    """Return a goal whose joints and tolerances were checked.
-
-    Args:
-        goal: Control_msgs/FollowJointTrajectoryGoal. The stamp of its header is not used.
-
-    Raises:
-        GoalJointsError: When it does not name each joint of the robot once, or a tolerance names another one.
-        GoalError: When a tolerance is no number, the time's is not from 0 to `LONGEST`, or a bound on the path is asked for: the
-            gate watches the path.
-    """
+    """Return a control_msgs/FollowJointTrajectoryGoal whose joints and tolerances were checked; its header's stamp is not used."""
     check_joint_names(robot, goal.trajectory.joint_names)
     for one in goal.path_tolerance:
         # 0 is the default, below 0 no bound: there is none
@@ -206,7 +190,6 @@ def fill_feedback(feedback, sample: Sample, plan_start: int, order: Sequence[int
     """Fill a control_msgs/FollowJointTrajectoryFeedback, whose joint names are set, with positions and velocities.
 
     Args:
-        feedback: Control_msgs/FollowJointTrajectoryFeedback
         plan_start: Stamp of the plan's first setpoint [ns]; 0: it has not begun.
         order: For each joint of the goal, its index in the robot's order.
     """

@@ -28,11 +28,7 @@ from construction_twin.scene.self_collision import SelfCollision
 
 @dataclass(frozen=True)
 class MoveitTypes:
-    """The message types.
-
-    Attributes:
-        moveit, shapes: ``moveit_msgs.msg`` and ``shape_msgs.msg``, or something with the same classes.
-    """
+    """``moveit_msgs.msg`` and ``shape_msgs.msg``, or something with the same classes."""
 
     moveit: ModuleType
     shapes: ModuleType
@@ -78,11 +74,7 @@ def planning_scene_message(
     """Return the whole scene as a difference: objects that only the receiver knows stay.
 
     Poses are in links by their URDF names, which MoveIt knows without tf. The allowed collision matrix replaces the receiver's.
-
-    Args:
-        robot_name: The URDF's name.
-        gone: Objects of the last message that are in the scene no more. MoveIt complains of those that it does not know.
-        put_down: Objects that were carried in the last message and are not now; likewise.
+    Objects of the last message are `gone`, or are carried no more (`put_down`).
     """
     moveit = types.moveit
     message = moveit.PlanningScene(is_diff=True, robot_model_name=robot_name)

@@ -22,7 +22,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, RequestRefused
 from construction_twin.core.extensions import check_extras, extension
-from construction_twin.core.motion_errors import SceneError, TrajectoryError
 from construction_twin.core.reports import EngagementReport, ExecutionReport
 from construction_twin.core.worker import Worker
 from construction_twin.extensions.work.built import Appearance
@@ -36,6 +35,7 @@ from construction_twin.extensions.work.task_memory import TaskState
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.frames import rotation_to_quaternion
+from construction_twin.robot.motion_errors import SceneError, TrajectoryError
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg, pose_from_msg, work_segment_to_msg
 from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.scene_convert import object_to_msg, scene_from_msg, tf_frame

@@ -9,7 +9,6 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from construction_twin.core.motion_errors import SceneError
 from construction_twin.core.sentences import Sentence
 from construction_twin.extensions.work.contacts import FALL, straight
 from construction_twin.extensions.work.convex_bodies import Pieces
@@ -20,6 +19,7 @@ from construction_twin.extensions.work.place.recipe import OVERRIDES, Direction,
 from construction_twin.extensions.work.process import REACH, Process, TaskMotions
 from construction_twin.extensions.work.site import inverse, pose_of
 from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.objects import TOOL, Scene, SceneObject, product, tool_objects
 from construction_twin.scene.scene_change import SceneChange

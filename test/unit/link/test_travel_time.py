@@ -5,13 +5,9 @@ from __future__ import annotations
 import pytest
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.travel_time import (
-    CONFIRMATIONS,
-    MAX_JUMP,
-    StateCheck,
-    TravelTime,
-)
+from construction_twin.core.travel_time import TravelTime
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
+from construction_twin.link.bridge import CONFIRMATIONS, MAX_JUMP, StateCheck
 
 LIMIT = 0.1
 LIMIT_NS = round(LIMIT * NANOSECONDS)

@@ -7,16 +7,11 @@ import math
 import pytest
 
 from construction_twin.core.errors import MotionRefused
-from construction_twin.core.motion_errors import (
-    CartesianPathError,
-    FarWaypointError,
-    JointRangeError,
-    LimitError,
-    NotFoundError,
-    OrientationError,
-    PositionRangeError,
-    UnreachableError,
-)
+from construction_twin.kinematics.solution import NotFoundError, OrientationError, PositionRangeError, UnreachableError
+from construction_twin.planning.cartesian import FarWaypointError
+from construction_twin.planning.ik_branch import CartesianPathError
+from construction_twin.planning.recheck import LimitError
+from construction_twin.robot.motion_errors import JointRangeError
 
 A3 = "joint_a3", math.radians(155.0), math.radians(-120.0), math.radians(154.0)
 TRACK = "track", 2.6, -2.5, 2.5, True
