@@ -12,7 +12,7 @@ from playwright.sync_api import Locator, expect
 from scripted_robot import ScriptedRobot
 
 from construction_twin.extensions.work.glb import glb
-from construction_twin.extensions.work.prepared import ElementFacts
+from construction_twin.extensions.work.loaded_model import ElementFacts
 from construction_twin.kinematics.chain import Pose
 
 #: Of `view` [s]: software draws each.

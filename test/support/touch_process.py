@@ -29,7 +29,7 @@ from construction_twin.extensions.work.process import (
     Process,
     Recipe,
     TaskMotions,
-    numbers,
+    listed,
 )
 from construction_twin.extensions.work.site import inverse, pose_of
 from construction_twin.kinematics.chain import Pose
@@ -133,7 +133,7 @@ PROCESS = Process(
     recipe=TouchRecipe,
     overrides={
         **SHARED,
-        "Point": Override(("points",), "IfcLabel", lambda value: (numbers(value),)),
+        "Point": Override(("points",), "IfcLabel", lambda value: (listed(value),)),
     },
     check_recipe=check_recipe,
     mass=lambda job, name, recipe, tool: job.element.mass,

@@ -29,8 +29,8 @@ from construction_twin.core.errors import RequestRefused
 from construction_twin.core.freshness import Moment
 from construction_twin.extensions.work import session
 from construction_twin.extensions.work.ledger import read_entries
+from construction_twin.extensions.work.loaded_model import ElementFacts, LoadedModel
 from construction_twin.extensions.work.nodes import work as module
-from construction_twin.extensions.work.prepared import ElementFacts, Prepared
 from construction_twin.extensions.work.schedule import Job, Schedule
 from construction_twin.extensions.work.site_scene import Slot, StockPlan
 from construction_twin.extensions.work.task_board import TaskBoard
@@ -61,14 +61,14 @@ FLOOR = SceneObject("floor", "box", (20.0, 20.0, 1.0), (0.0, 0.0, -0.5))
 FETCH, GRIP, CARRY, LEAVE = range(4)
 
 
-def prepared() -> Prepared:
+def prepared() -> LoadedModel:
     """Return a model of one element, which one task places."""
     goal, stock = (product(_CHAIN.forward(q), HELD) for q in (AT_GOAL, AT_STOCK))
     facts = ElementFacts("stud", (BODY,), goal, np.zeros((1, 3, 3)))
     schedule = Schedule((Job(TASK, TASK, "Place stud", ELEMENT, (), ()),), (), False)
     slots = StockPlan({ELEMENT: Slot(ELEMENT, "rack", 1, 0, stock, "")})
     tool = work_samples.tool().tool
-    return Prepared("panel.ifc", "a" * 64, "/cell.yaml", schedule, "s" * 64, {ELEMENT: facts}, slots, tool, (POST,))
+    return LoadedModel("panel.ifc", "a" * 64, "/cell.yaml", schedule, "s" * 64, {ELEMENT: facts}, slots, tool, (POST,))
 
 
 def segments() -> tuple[WorkSegment, ...]:
@@ -147,7 +147,7 @@ class Bench:
         )
         self.node = module.WorkNode(settings, ROBOT, ports)
         self.node._call = self._call
-        self.heard = self.node.heard
+        self.received = self.node.received
 
     def ready(self) -> Bench:
         """Read the model beside an executor that rests and a tool that is open; the scene gets tool and stock."""

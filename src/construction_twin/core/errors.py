@@ -32,11 +32,7 @@ def found_and_expected(where: str, value: object, expected: str) -> str:
 
 
 class ConfigurationError(ConstructionTwinError):
-    """A parameter, file or robot description does not make sense.
-
-    Attributes:
-        value: What was found there; None: nothing.
-    """
+    """A parameter, file or robot description does not make sense; `value` None: there is nothing."""
 
     def __init__(self, where: str, value: object, expected: str):
         self.where, self.value, self.expected = where, value, expected
@@ -44,11 +40,7 @@ class ConfigurationError(ConstructionTwinError):
 
 
 class FileError(ConstructionTwinError):
-    """A file cannot be read or written; says why, and what to do.
-
-    Attributes:
-        path: Of the file; "" where the system did not say.
-    """
+    """A file cannot be read or written; says why, and what to do. `path` "": the system did not say."""
 
     def __init__(self, path: str, error: OSError | UnicodeDecodeError):
         self.path = path
@@ -120,8 +112,7 @@ class MotionRefused(ConstructionTwinError):
         reason: Counter name: ``range``, ``velocity``, ``acceleration``, ``braking_room``, ``start``, ``order``, ``lead``,
             ``values``.
         joint: Joint that failed, or "" when the setpoint as a whole did.
-        value, limit: In SI units of the check; nan when there is none. The sentence has them in deg and mm, as every sentence for a
-            person.
+        value, limit: In SI units of the check; nan when there is none.
     """
 
     def __init__(self, reason: str, joint: str, value: float, limit: float, unit: str = "rad"):
@@ -144,8 +135,7 @@ class ProtocolError(ConstructionTwinError):
     """A message from a network does not follow its protocol.
 
     Attributes:
-        reason: Counter name, e.g. ``length``, ``format``, ``ascii``, ``decimals``, ``properties``; of a telegram ``size``, ``xml``,
-            ``element``, ``number``.
+        reason: Counter name, e.g. ``length``, ``format``, ``decimals``; of a telegram ``size``, ``xml``, ``element``, ``number``.
     """
 
     def __init__(self, reason: str, message: str):

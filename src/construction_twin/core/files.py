@@ -12,12 +12,9 @@ from construction_twin.core.errors import ConfigurationError
 
 
 def read_file(path: str | Path, most: int) -> bytes:
-    """Read a regular file of at most so many bytes.
+    """Read a regular file of at most so many bytes; the `strerror` of an OSError is a phrase for a sentence.
 
     A named pipe would keep its reader waiting for ever, and a device has no end: neither is opened for waiting.
-
-    Raises:
-        OSError: If it cannot be read, is not a regular file, or is larger; `strerror` is a phrase for a sentence.
     """
     with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):

@@ -30,12 +30,7 @@ _TEXT = re.compile(r"([0-9a-f]{8})-([0-9]{1,15})")
 
 @dataclass(frozen=True)
 class Moment:
-    """A moment on a clock of the robot's computer.
-
-    Attributes:
-        origin: Which clock: 8 hexadecimal digits, others after each start of the computer.
-        at: [ns] since that start.
-    """
+    """A moment [ns] since the start of the robot's computer; `origin`: 8 hexadecimal digits, others after each start."""
 
     origin: str
     at: int

@@ -47,10 +47,8 @@ class SpeedLimit:
     def accept(self, fraction: float, name: str, now: int, words: str = "", sentence: str = "") -> None:
         """Take what a source says, unless another one is heard: two that alternate would change the speed all the time.
 
-        `words` say why; `sentence` stands in place of one made of them, where the source says whose limit it passes on.
-
-        Raises:
-            PayloadError: ``speed_limit`` or ``speed_limit_source``; nothing has changed then, and the deadline runs on.
+        `words` say why; `sentence` stands in place of one made of them, where the source says whose limit it passes on. After a
+        PayloadError (``speed_limit``, ``speed_limit_source``) nothing has changed, and the deadline runs on.
         """
         # written so that a nan does not pass
         if not 0.0 <= fraction <= 1.0:

@@ -60,10 +60,7 @@ def receive(sock: socket.socket) -> tuple[bytes, int, tuple]:
     """Read one datagram: its data, when it arrived on the wall clock [ns], and its sender's address and port.
 
     Of data longer than `MAX_TELEGRAM` so much that it is refused. The time is that of reading where the system does not tell.
-
-    Raises:
-        BlockingIOError: When there is none.
-        OSError: For what the system reports instead, e.g. "port unreachable" for an earlier reply.
+    BlockingIOError: there is none; another OSError is what the system reports instead, e.g. "port unreachable" for a reply.
     """
     if not hasattr(sock, "recvmsg"):  # Windows
         data, source = sock.recvfrom(_LARGEST_DATAGRAM)

@@ -47,12 +47,7 @@ _KINDS = {
 
 @dataclass(frozen=True)
 class WrongValue:
-    """The first thing that is wrong.
-
-    Attributes:
-        key: Keys and positions from the top, with ``/`` between; empty: the document itself.
-        value: None when the key is missing.
-    """
+    """The first thing that is wrong: keys and positions from the top with ``/`` between; a value that is missing is None."""
 
     key: str
     value: object

@@ -18,12 +18,7 @@ TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """A joint's axis.
-
-    Attributes:
-        point: Shape (3,). Any point on it; of a prismatic joint, the origin of its frame.
-        direction: Shape (3,). Of turning, by the right hand, or of travel.
-    """
+    """A joint's axis: any point on it, of a prismatic joint its frame's origin, and its direction of turning or travel."""
 
     point: np.ndarray
     direction: np.ndarray

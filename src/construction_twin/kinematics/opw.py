@@ -25,11 +25,7 @@ _CHECK_SEED = 2014
 
 
 class Margins(NamedTuple):
-    """How far a wrist centre is inside a shoulder's reach [m]; negative: outside. Unpacked for every target.
-
-    Attributes:
-        outer, inner: Distance to the edge where the arm is stretched, and to the edge where it is folded.
-    """
+    """How far a wrist centre is inside a shoulder's reach, where the arm is stretched and where it is folded [m]; < 0: outside."""
 
     outer: float
     inner: float
@@ -40,9 +36,6 @@ class OpwModel:
     """A chain in OPW parameters: ``base_T_tip = base_T_opw * opw_T_flange(theta) * flange_T_tip``, theta = signs q - offsets.
 
     Attributes:
-        a1, a2, b, c1, c2, c3, c4: [m]
-        offsets: Length 6. [rad]
-        signs: Length 6
         base_T_opw, flange_T_tip: Shape (4, 4). The OPW base is on axis 1 level with the base link's origin, Z towards axis 2; the
             flange on axis 6 level with the tip, Z out of it.
     """

@@ -62,14 +62,7 @@ _PER_JOINT = ("joint_names", "lower", "upper", "velocity", "acceleration", "jerk
 
 
 class Carriage:
-    """The carriage of an arm, and the arm on it.
-
-    Attributes:
-        arm: The six joints on the carriage, which is their base.
-        rotation: Shape (3, 3). Of ``base_T_carriage``.
-        origin: Shape (3,). The carriage's origin in the base, at position zero [m].
-        direction: Shape (3,). In which it travels, in the base.
-    """
+    """The carriage of an arm: its place in the base at position zero, its direction of travel, and the `arm` on it as its base."""
 
     def __init__(self, chain: Chain):
         robot = chain.robot

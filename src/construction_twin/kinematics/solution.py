@@ -185,10 +185,8 @@ class IkSolution:
     """Joint values within the ranges, confirmed by KDL's forward kinematics.
 
     Attributes:
-        q: Shape (n,). [rad], or [m] for a prismatic joint.
         residual_m, residual_rad: Distance of their forward kinematics from the target.
         distance: Euclidean distance from the seed, over all joints [rad and m alike].
-        configuration: None: the arm has no named configurations.
     """
 
     q: np.ndarray

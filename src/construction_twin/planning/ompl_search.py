@@ -47,11 +47,8 @@ class PathQuery:
     """What a path is sought for. Joint vectors are in the order of `RobotModel.joint_names` [rad] or [m].
 
     Attributes:
-        start: Shape (n,). Free, within the bounds.
-        goals: Each of shape (n,). At least one, the nearest first; each free and within the bounds. The path may end at any of
-            them.
+        goals: At least one, the nearest first; they and the start are free and within the bounds. The path may end at any.
         validator: Says whether a straight edge is free; its `world` whether a pose is.
-        lower, upper: Shape (n,). Lowest and highest joint values that a path may have.
         seed: Of everything that a search draws by chance, 1 to 2**32 - 1: the same query, with a new validator, gives the same
             path, unless the search improves its path until the budget is over.
     """

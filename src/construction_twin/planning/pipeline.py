@@ -134,8 +134,6 @@ class PlanningPipeline:
     """Plans motions of one robot in the latest scene; PlanningError and SceneError say why there is no plan.
 
     Args:
-        solver: Default: the one that fits the robot.
-        settings: Default: the shipped ones.
         self_collision: Default: found anew by `sample_self_collision`, which takes some seconds; a program keeps it in a file.
         clock: Returns seconds from any fixed origin; measures planning time.
         source: Topic of the scenes, for the message when there is none; empty: they are given by calls.

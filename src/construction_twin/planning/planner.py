@@ -85,8 +85,6 @@ class PlanRequest:
     """What a request asks of a plan besides its ends, and what identifies it.
 
     Attributes:
-        asked: When it was asked for. Default: not told.
-        source: Name of the requester, for the reviewer.
         duration: [s]; None: as fast as the scales allow.
         speed_scale: Fraction of the velocity limits in (0, 1]; None: the planner's default, or 1 with a duration.
         acceleration_scale: Fraction of the acceleration limits in (0, 1]; None: the same as the speed scale.

@@ -77,9 +77,7 @@ class Waypoints:
 
     Attributes:
         rows: Number of each waypoint in messages: a line of the file, or the index of the point, as `row_name` says.
-        positions: Shape (m, n). [rad] or [m]
-        times: Shape (m,). [s]
-        velocities, accelerations: Shape (m, n). Only with `times`.
+        velocities, accelerations: Only with `times`.
     """
 
     rows: tuple[int, ...]

@@ -18,13 +18,12 @@ BY_ACTION = "follow_joint_trajectory from"
 
 @dataclass(frozen=True)
 class Clearance:
-    """Smallest distance between two bodies that must not touch.
+    """Smallest distance between two bodies that must not touch, and when on a trajectory it occurs [s].
 
     Attributes:
         distance: [m]; negative: the penetration depth. inf: there is nothing to touch.
-        between: Length 2 or 0. Names of the two: a link of the robot first, then a link or an object of the scene.
-        point: Length 3. Nearest point on the first of them, in the robot's base frame [m].
-        time: Time from the start of the trajectory at which the distance occurs [s]; 0 for a single pose.
+        between: A link of the robot first, then a link or an object of the scene; or none.
+        point: Nearest point on the first of them, in the robot's base frame [m].
     """
 
     distance: float
@@ -57,7 +56,6 @@ class Plan:
 
     Attributes:
         hash: The trajectory's `content_hash`; of a work plan: `segments_hash`.
-        source: Name of the requester.
         planner: How the path was found: name of an OMPL planner, ``direct``, ``cartesian``, ``waypoints``, ``work``, ``way back``.
         scene: Hash of the scene it was checked against.
         asked: When it was asked for: a stop after that voids it.

@@ -24,13 +24,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class Switch:
-    """An output of the tool that is switched at rest, at the end of a segment.
-
-    Attributes:
-        output: Output of the tool file.
-        confirm: What the tool's inputs must read afterwards, all of them.
-        timeout: Longest time from the switch to that [s], above 0.
-    """
+    """An output of the tool that is switched at rest, and what all inputs in `confirm` must read within `timeout` [s] after it."""
 
     output: str
     value: bool

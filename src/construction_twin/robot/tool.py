@@ -45,13 +45,7 @@ class ToolShape(_Strict):
 
 
 class Cups(_Strict):
-    """Suction cups in the plane of the TCP.
-
-    Attributes:
-        radius: [m]
-        holds: What one cup holds, safety factor included [kg].
-        at: Length 2. Middle of each, x and y in the TCP's frame [m].
-    """
+    """Suction cups at places in the plane of the TCP [m]; what one holds has the safety factor in it [kg]."""
 
     radius: _Positive
     holds: _Positive

@@ -64,9 +64,6 @@ class Trajectory:
 
         Before 0 and after `duration` the motion rests at its first or last position: velocity and acceleration are zero
         there even if the end waypoints have other values. At exactly 0 and `duration` the waypoints' own values are returned.
-
-        Returns:
-            q, qd, qdd: Shape (n,). [rad], [rad/s], [rad/s^2]; the caller's own copies.
         """
         knots = self._knots
         if not 0.0 <= t < knots[-1]:
@@ -87,11 +84,7 @@ class Trajectory:
         return q, qd, qdd
 
     def sample_many(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Evaluate the motion and its jerk at many times, shape (m,); outside [0, `duration`] as `sample` does.
-
-        Returns:
-            q, qd, qdd, qddd: Shape (m, n). [rad], [rad/s], [rad/s^2], [rad/s^3].
-        """
+        """Evaluate the motion and its jerk at many times, shape (m,): shape (m, n) each, outside of it as `sample` does."""
         times = np.asarray(times, dtype=np.float64)
         segment = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
         x = (np.clip(times, 0.0, self.duration) - self.times[segment])[:, None]

@@ -49,7 +49,6 @@ class Body:
     """One shape, rigidly fixed to a joint.
 
     Attributes:
-        owner: Name of the link or of the scene object.
         link: The link it belongs to or is carried by; empty: it stands in the world.
         joint: Pinocchio's index of the joint that moves it; 0: nothing does.
         placement: Of the shape in the joint's frame.

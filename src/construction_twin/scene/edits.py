@@ -37,12 +37,7 @@ _OBJECTS = pydantic.TypeAdapter(tuple[SceneObject, ...])
 
 @dataclass(frozen=True)
 class SceneFile:
-    """The file of one run's edits.
-
-    Attributes:
-        run: Id of the run; the file of another run is ignored.
-        start: The scene that the run began with.
-    """
+    """The file of one run's edits of the scene that it began with; that of another run is ignored."""
 
     path: Path
     run: str

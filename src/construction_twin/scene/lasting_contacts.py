@@ -19,7 +19,6 @@ class LastingContact:
     """An object that stands in the world, and a link that touches it whatever the joints do.
 
     Attributes:
-        name: Of the object.
         distance: At home [m]; negative: by how much they overlap.
         kept: Distance that a moving link must keep [m]; 0 for a link that no joint moves.
         moves: Whether a joint moves the link. Such a pair is checked, so that nothing can be planned; with a base it is not

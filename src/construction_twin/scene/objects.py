@@ -82,7 +82,6 @@ class SceneObject:
     """One body. The fields are those of ``msg/SceneObject``, checked.
 
     Attributes:
-        name: Unique in the scene.
         shape: ``box``, ``cylinder``, ``sphere`` or ``mesh``.
         size: [m] box: x, y, z; cylinder (about its z axis, centred): radius, length; sphere: radius; mesh: scale x, y, z (empty: 1,
             1, 1).

@@ -73,7 +73,7 @@ def test_what_is_out_of_reach_or_without_geometry_says_so(found):
 
 
 def test_the_picture_has_the_path_of_what_is_possible(found):
-    prepared, tasks = found[0].prepared, found[0].tasks
+    prepared, tasks = found[0].loaded, found[0].tasks
     picture, without = (cell_picture(shown, prepared) for shown in (tasks, [replace(tasks[0], path=())]))
     assert picture.startswith(b"\x89PNG") and picture != without
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from construction_twin.extensions.work.glb import glb
-from construction_twin.extensions.work.prepared import ElementFacts
+from construction_twin.extensions.work.loaded_model import ElementFacts
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import quaternion_to_rotation
 

@@ -29,10 +29,10 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work import decisions, process
 from construction_twin.extensions.work.errors import LedgerError
 from construction_twin.extensions.work.following import after_restart
-from construction_twin.extensions.work.heard import GripReading
 from construction_twin.extensions.work.ledger import Ledger
-from construction_twin.extensions.work.prepared import Prepared
+from construction_twin.extensions.work.loaded_model import LoadedModel
 from construction_twin.extensions.work.process import read_recipes
+from construction_twin.extensions.work.received import GripReading
 from construction_twin.extensions.work.schedule import Job, Schedule
 from construction_twin.extensions.work.site_scene import StockPlan
 from construction_twin.extensions.work.task_memory import Entry, NotNow, TaskMemory, TaskState
@@ -124,7 +124,7 @@ def test_the_check_before_the_work_plans_it_too(work):
 # -- its ledger
 
 
-def prepared() -> Prepared:
+def prepared() -> LoadedModel:
     """Return the bench's model, whose one element is touched where it stands."""
     made = work_bench.prepared()
     touched = replace(made.schedule.job(work_bench.TASK), process="touch")
@@ -167,7 +167,7 @@ def test_a_stop_at_the_element_asks_whether_it_was_done(bench, answer, state):
     assert work_bench.PLACED.name in bench.scene.names
     board = bench.board
     decisions.answer(board, work_bench.TASK, answer, "eva", "looked")
-    assert board.book.tasks[work_bench.TASK].state.value == state
+    assert board.states.tasks[work_bench.TASK].state.value == state
 
 
 def test_an_open_grip_says_nothing_of_what_was_done(tmp_path):
@@ -197,13 +197,13 @@ def test_another_model_asks_whether_it_was_done_and_leaves_nothing_behind_where_
         first.add(Entry(event, "T", "E", plan="p", **said))
     first.close()
     again = ledger(tmp_path / "l", "b" * 64)
-    memory = again.book.tasks["T"]
+    memory = again.states.tasks["T"]
     assert memory.possible_answers() == ("done", "not_done")
     assert "it was done, for another version of the model" in memory.question("stud")
     again.close()
     times = count(1_800_000_000_000_000_000)
     other = Ledger(tmp_path / "l", {"U": ()}, "c" * 64, lambda: next(times), "/cell.yaml")
-    assert other.book.former == {} and other.book.tasks["U"].state is TaskState.READY
+    assert other.states.former == {} and other.states.tasks["U"].state is TaskState.READY
     other.close()
 
 

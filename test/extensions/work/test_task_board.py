@@ -13,7 +13,7 @@ import pytest
 from construction_twin.extensions.work import decisions
 from construction_twin.extensions.work.built import as_built, change, deviation, pose_tuple
 from construction_twin.extensions.work.ledger import Ledger
-from construction_twin.extensions.work.prepared import ElementFacts, Prepared
+from construction_twin.extensions.work.loaded_model import ElementFacts, LoadedModel
 from construction_twin.extensions.work.schedule import Job, Schedule, Wait
 from construction_twin.extensions.work.site_scene import Slot, StockPlan
 from construction_twin.extensions.work.task_board import TaskBoard, WorkRefused
@@ -55,7 +55,7 @@ def clock() -> Clock:
     return Clock()
 
 
-def prepared(proposed: bool = False) -> Prepared:
+def prepared(proposed: bool = False) -> LoadedModel:
     elements, slots = {}, {}
     for number, job in zip(count(1), JOBS):
         body = SceneObject(f"{job.element}/0", "box", (0.1, 0.1, 0.1))
@@ -64,7 +64,7 @@ def prepared(proposed: bool = False) -> Prepared:
         slots[job.element] = Slot(job.element, "rack", min(number, 2), int(number == 3), at(number, -1.0), "")
     tool = (SceneObject("tool/post", "box", (0.1, 0.1, 0.1), link="tool0"),)
     schedule = Schedule(JOBS, (), proposed)
-    return Prepared("panel.ifc", "a" * 64, "/cell.yaml", schedule, "s" * 64, elements, StockPlan(slots), TOOL, tool)
+    return LoadedModel("panel.ifc", "a" * 64, "/cell.yaml", schedule, "s" * 64, elements, StockPlan(slots), TOOL, tool)
 
 
 def board(tmp_path: Path, clock: Clock, proposed: bool = False, robot: str = "kr120") -> TaskBoard:
@@ -130,7 +130,7 @@ def test_another_robots_task_is_left_alone(tmp_path, clock):
 def test_one_task_at_a_time(tmp_path, clock):
     one = board(tmp_path, clock)
     one.ledger.add(Entry("offered", "T1", "E1", offer="o"))
-    assert one.book.busy == "T1" and "is under review" in one.obstacle("T2", clock())
+    assert one.states.busy == "T1" and "is under review" in one.obstacle("T2", clock())
     with pytest.raises(WorkRefused, match="and cannot be skipped"):
         decisions.skip(one, "T1", "eva", "")
 
@@ -171,7 +171,7 @@ def test_what_is_in_the_grip_comes_first(tmp_path, clock):
     build(one, "T2", until="gripped")
     one.ledger.add(Entry("stopped", "T2", "E2"))
     decisions.answer(one, "T2", "in_grip", "eva", "")
-    decisions.redo(one, "T1", "eva", "") if not one.ledger.book.followers("T1") else None
+    decisions.redo(one, "T1", "eva", "") if not one.ledger.states.followers("T1") else None
     assert "is in the grip" in one.obstacle("T1", clock())
 
 
@@ -184,9 +184,9 @@ def test_what_counts_as_carried_can_be_doubted(tmp_path, clock, by_person):
     decisions.answer(one, "T1", "in_grip", "eva", "")
     sentence = decisions.redo(one, "T1", "eva", "it fell") if by_person else decisions.lost(one)
     assert "where is element 1 now?" in sentence
-    assert one.ledger.book.tasks["T1"].possible_answers() == ("in_stock", "in_grip", "placed", "gone")
+    assert one.ledger.states.tasks["T1"].possible_answers() == ("in_stock", "in_grip", "placed", "gone")
     decisions.answer(one, "T1", "gone", "eva", "")
-    assert one.ledger.book.in_state(TaskState.HELD) == ("T1",)
+    assert one.ledger.states.in_state(TaskState.HELD) == ("T1",)
 
 
 def test_what_others_came_after_is_not_done_again_before_them(tmp_path, clock):
@@ -200,7 +200,7 @@ def test_what_others_came_after_is_not_done_again_before_them(tmp_path, clock):
     decisions.skip(one, "T3", "eva", "")
     decisions.redo(one, "T2", "eva", "")
     decisions.redo(one, "T1", "eva", "")
-    assert one.ledger.book.in_state(TaskState.READY) == ("T1",)
+    assert one.ledger.states.in_state(TaskState.READY) == ("T1",)
     with pytest.raises(WorkRefused, match="it was not done or skipped yet"):
         decisions.redo(one, "T1", "eva", "")
 
@@ -395,7 +395,7 @@ def test_what_is_to_be_taken_down_stands_and_holds_up_until_a_person_says_that_i
     with pytest.raises(WorkRefused, match="has placed nothing"):
         decisions.removed(one, "T1", "eva", "")
     assert "is gone: it is no obstacle" in decisions.removed(one, "D1", "eva", "seen")
-    scene = Scene((*one.prepared.standing, *one.prepared.tool_objects), 0.01)
+    scene = Scene((*one.loaded.standing, *one.loaded.tool_objects), 0.01)
     wanted, alone = one.built.wanted_scene()
     assert "W1/0" not in wanted and "W2/0" in wanted and change(scene, wanted, alone).remove == ("W1/0",)
     assert one.next(clock()) == "T1"
@@ -409,9 +409,9 @@ def test_that_it_is_gone_is_remembered_whatever_model_comes_and_can_be_taken_bac
     one = with_removal(tmp_path, clock)
     decisions.removed(one, "D1", "eva", "")
     one.ledger.close()
-    again = Ledger(tmp_path / "ledger", one.prepared.after, "b" * 64, clock, "", one.prepared.schedule.placing)
-    other = TaskBoard(one.prepared, again, "kr120", "tool0")
-    assert "W1/0" not in other.built.wanted_scene()[0] and again.book.in_state(TaskState.ASKS) == ()
+    again = Ledger(tmp_path / "ledger", one.loaded.after, "b" * 64, clock, "", one.loaded.schedule.placing)
+    other = TaskBoard(one.loaded, again, "kr120", "tool0")
+    assert "W1/0" not in other.built.wanted_scene()[0] and again.states.in_state(TaskState.ASKS) == ()
     assert "standing again" in decisions.redo(other, "D1", "eva", "wrong wall")
     assert "W1/0" in other.built.wanted_scene()[0] and other.next(clock()) == ""
     assert "wall stays" in decisions.skip(other, "D1", "eva", "it may stay")
@@ -424,12 +424,12 @@ def test_what_the_arm_placed_stands_as_built_when_the_model_calls_it_completed(t
     build(one, "T1", stands=built)
     one.ledger.close()
     later = replace(
-        one.prepared,
+        one.loaded,
         schedule=Schedule(JOBS[1:2], ()),
         digest="b" * 64,
-        elements={"E2": one.prepared.elements["E2"]},
+        elements={"E2": one.loaded.elements["E2"]},
         standing=(SceneObject("E1/0", "box", (0.1, 0.1, 0.1), (1.0, 1.0, 0.0), fixed=True),),
     )
     ledger = Ledger(tmp_path / "ledger", later.after, later.digest, clock, "", {"E2": "T2"}, later.standing_elements)
     again = TaskBoard(later, ledger, "kr120", "tool0")
-    assert again.book.asking == () and np.allclose(again.built.wanted_scene()[0]["E1/0"].position, (1.003, 1.0, 0.0))
+    assert again.states.asking == () and np.allclose(again.built.wanted_scene()[0]["E1/0"].position, (1.003, 1.0, 0.0))

@@ -207,7 +207,7 @@ def test_an_element_is_placed_then_touched_where_it_stands_and_each_is_in_the_le
     ]
     assert written == [(work.place, "offered", ""), (work.touch, "offered", "touch")]
     again = Ledger(tmp_path / "l", made.after, made.digest, lambda: 1)
-    assert again.book.tasks[work.place].placed and again.book.open == (work.other,)
+    assert again.states.tasks[work.place].placed and again.states.open == (work.other,)
     again.close()
 
 
@@ -231,7 +231,7 @@ def prepared():
 
 def done(one: TaskBoard, task: str, until: str = "finished") -> None:
     """Write what is written while a task is carried out."""
-    moves = one.prepared.schedule.job(task).moves
+    moves = one.loaded.schedule.job(task).moves
     between = ("gripping", "gripped", "releasing", "released") if moves else ()
     for event in ("offered", "begun", *between, "finished"):
         pose = pose_tuple(one.built.element(task).base_T_goal) if event in ("offered", "released") and moves else ()

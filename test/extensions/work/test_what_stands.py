@@ -13,7 +13,7 @@ from construction_twin.extensions.work import decisions
 from construction_twin.extensions.work.built import pose_tuple
 from construction_twin.extensions.work.errors import LedgerError
 from construction_twin.extensions.work.ledger import Ledger, read_entries
-from construction_twin.extensions.work.prepared import ElementFacts, Prepared
+from construction_twin.extensions.work.loaded_model import ElementFacts, LoadedModel
 from construction_twin.extensions.work.schedule import Job, Schedule
 from construction_twin.extensions.work.site_scene import Slot, StockPlan
 from construction_twin.extensions.work.task_board import TaskBoard, WorkRefused
@@ -33,7 +33,7 @@ def at(x: float) -> Pose:
     return Pose(np.array([x, 1.0, 0.6]), np.eye(3))
 
 
-def model(ids: str, *names: str, digest: str = "a", shifted: float = 0.0, folder: Path | None = None) -> Prepared:
+def model(ids: str, *names: str, digest: str = "a", shifted: float = 0.0, folder: Path | None = None) -> LoadedModel:
     """Return sleepers 0.6 m apart; `ids`: beginning of their GlobalIds; with a folder they are meshes in it."""
     elements, slots, jobs = {}, {}, []
     for number, name in enumerate(names):
@@ -49,10 +49,10 @@ def model(ids: str, *names: str, digest: str = "a", shifted: float = 0.0, folder
         slots[element] = Slot(element, "rack", number, 0, at(-5.0 - number), "")
         jobs.append(Job(f"T{element}", f"T{element}", f"Place {name}", element, (), ()))
     schedule = Schedule(tuple(jobs), ())
-    return Prepared("deck.ifc", digest * 64, "/deck.yaml", schedule, "s" * 64, elements, StockPlan(slots), TOOL, ())
+    return LoadedModel("deck.ifc", digest * 64, "/deck.yaml", schedule, "s" * 64, elements, StockPlan(slots), TOOL, ())
 
 
-def opened(folder: Path, ready: Prepared, name: str = "kr120_deck", robot: str = "kr120") -> TaskBoard:
+def opened(folder: Path, ready: LoadedModel, name: str = "kr120_deck", robot: str = "kr120") -> TaskBoard:
     """Return the board as the node opens it."""
     times = count(NOW)
     ledger = Ledger(
@@ -103,7 +103,7 @@ def of_b(board: TaskBoard) -> SceneObject:
 def test_what_was_deleted_from_the_model_stands_and_is_asked_about_before_anything_is_planned(two_placed):
     board = opened(two_placed, model("old", "A", "X", "C", "D", digest="b"))
     of_b(board)
-    assert board.next(NOW) == "" and board.book.asking == ("ToldB",)
+    assert board.next(NOW) == "" and board.states.asking == ("ToldB",)
     assert "still stand? The model does not have it." in row(board, "B").question
     assert row(board, "B").answers == ("stands", "taken_away")
     assert "asks first" in board.obstacle("ToldX", NOW) and "B" in board.obstacle("ToldX", NOW)
@@ -121,7 +121,7 @@ def test_it_is_asked_once_for_each_version_and_stands_over_every_start(two_place
         lines = board.ledger.lines
         board.ledger.close()
         board = opened(two_placed, changed)
-        assert board.book.asking == () and board.ledger.lines == lines
+        assert board.states.asking == () and board.ledger.lines == lines
         of_b(board)
 
 
@@ -136,7 +136,7 @@ def test_it_is_no_obstacle_when_a_person_has_taken_it_away(two_placed, asked):
         assert "is gone: it is no obstacle" in decisions.removed(board, "ToldB", "eva", "rotten")
     board.ledger.close()
     again = opened(two_placed, changed)
-    assert stands(again, "oldB") is None and "ToldB" not in again.book.former
+    assert stands(again, "oldB") is None and "ToldB" not in again.states.former
     with pytest.raises(WorkRefused, match="`twin work list` names them"):
         decisions.removed(again, "ToldB", "eva", "")
 
@@ -145,14 +145,14 @@ def test_what_stands_in_the_models_own_version_can_be_taken_away_too(two_placed)
     board = opened(two_placed, model("old", "A", "B", "C", "D"))
     assert board.next(NOW) == "ToldC"
     decisions.removed(board, "ToldB", "eva", "rotten")
-    assert stands(board, "oldB") is None and board.book.tasks["ToldB"].state is TaskState.HELD
+    assert stands(board, "oldB") is None and board.states.tasks["ToldB"].state is TaskState.HELD
     with pytest.raises(WorkRefused, match="has placed nothing"):
         decisions.removed(board, "ToldC", "eva", "")
 
 
 def test_an_element_that_is_asked_about_is_in_the_scene_of_a_node_that_starts(two_placed):
     board = opened(two_placed, model("old", "A", "B", "C", "D", digest="b", shifted=0.3))
-    assert board.book.asking == ("ToldA", "ToldB")
+    assert board.states.asking == ("ToldA", "ToldB")
     of_b(board)
 
 
@@ -168,7 +168,7 @@ def test_it_stands_with_the_shape_that_it_was_placed_with(two_placed):
 # -- what is not asked again
 
 
-def shifted(ready: Prepared, element: str, by: float) -> Prepared:
+def shifted(ready: LoadedModel, element: str, by: float) -> LoadedModel:
     """Return a model with one element elsewhere."""
     facts = ready.elements[element]
     moved = replace(facts, base_T_goal=Pose(facts.base_T_goal.position + (by, 0.0, 0.0), np.eye(3)))
@@ -177,7 +177,7 @@ def shifted(ready: Prepared, element: str, by: float) -> Prepared:
 
 def test_what_a_new_version_has_as_it_was_placed_is_not_asked_about(two_placed):
     board = opened(two_placed, model("old", "A", "B", "C", digest="b"))
-    assert board.book.asking == () and board.next(NOW) == "ToldC"
+    assert board.states.asking == () and board.next(NOW) == "ToldC"
     of_b(board)
 
 
@@ -186,19 +186,19 @@ def test_an_answer_counts_for_later_versions_that_say_the_same_and_for_no_other(
         return opened(two_placed, shifted(model("old", *names, digest=digest), f"old{names[0]}", by))
 
     board = asked("A", "X", "C", digest="b", by=0.2)
-    assert board.book.asking == ("ToldA", "ToldB")
+    assert board.states.asking == ("ToldA", "ToldB")
     assert decisions.answer_all(board, "placed", "eva", "").values["left"] == 1
-    assert decisions.answer_all(board, "stands", "eva", "").values["count"] == 1 and board.book.asking == ()
+    assert decisions.answer_all(board, "stands", "eva", "").values["count"] == 1 and board.states.asking == ()
     board.ledger.close()
     later = asked("A", "X", "C", "D", digest="c", by=0.2)
-    assert later.book.asking == () and later.next(NOW) == "ToldX" and stands(later, "oldA").position[0] == 0.0
+    assert later.states.asking == () and later.next(NOW) == "ToldX" and stands(later, "oldA").position[0] == 0.0
     of_b(later)
     later.ledger.close()
     again = asked("A", "X", "C", digest="d", by=0.1)
-    assert again.book.asking == ("ToldA",)
+    assert again.states.asking == ("ToldA",)
     again.ledger.close()
     back = opened(two_placed, model("new", "B", digest="e"))
-    assert "ToldB" in back.book.asking, "the model has one of that name and class again"
+    assert "ToldB" in back.states.asking, "the model has one of that name and class again"
     of_b(back)
 
 
@@ -206,7 +206,7 @@ def test_the_same_element_with_a_new_task_is_not_asked_about_and_not_placed_twic
     ready = model("old", "A", "B", "C", digest="b")
     jobs = tuple(replace(job, id=f"N{job.id}", task=f"N{job.task}") for job in ready.schedule.jobs)
     board = opened(two_placed, replace(ready, schedule=Schedule(jobs, ())))
-    assert board.book.asking == () and board.book.former == {} and board.next(NOW) == "NToldC"
+    assert board.states.asking == () and board.states.former == {} and board.next(NOW) == "NToldC"
     of_b(board)
     assert board.built.deviation("NToldB").distance == pytest.approx(0.001)
 
@@ -222,7 +222,7 @@ def test_all_that_was_placed_is_answered_at_once_where_that_leaves_it_an_obstacl
     assert (said.values["count"], said.values["left"]) == (2, 0) and board.next(NOW) == "TnewC"
     board.ledger.close()
     again = opened(two_placed, model("new", "A", "B", "C", "D", "E", digest="c"))
-    assert again.book.asking == () and np.allclose(stands(again, "newB").position, (0.6, 1.001, 0.6))
+    assert again.states.asking == () and np.allclose(stands(again, "newB").position, (0.6, 1.001, 0.6))
 
 
 def test_what_may_be_in_the_grip_is_not_answered_with_all_others(two_placed):
@@ -231,9 +231,9 @@ def test_what_may_be_in_the_grip_is_not_answered_with_all_others(two_placed):
         board.add(Entry(event, "ToldC", plan="p", offer="o", pose=HELD if event == "offered" else ()))
     board.ledger.close()
     again = opened(two_placed, model("old", "A", "B", "C", "D", digest="b", shifted=0.3))
-    assert again.book.asking == ("ToldA", "ToldB", "ToldC") and "placed" in row(again, "ToldC").answers
+    assert again.states.asking == ("ToldA", "ToldB", "ToldC") and "placed" in row(again, "ToldC").answers
     decisions.answer_all(again, "placed", "eva", "")
-    assert again.book.asking == ("ToldC",)
+    assert again.states.asking == ("ToldC",)
 
 
 # -- an id that is used for something else
@@ -248,10 +248,10 @@ def test_a_task_that_has_another_element_now_does_not_take_over_what_it_has_plac
     ready = replace(ready, schedule=Schedule(jobs, ()))
     board = opened(two_placed, ready)
     of_b(board)
-    assert board.book.asking == ("oldB",) and row(board, "B").answers == ("stands", "taken_away")
+    assert board.states.asking == ("oldB",) and row(board, "B").answers == ("stands", "taken_away")
     board.ledger.close()
     again = opened(two_placed, ready)
-    assert again.book.asking == ("oldB",)
+    assert again.states.asking == ("oldB",)
     decisions.answer(again, "oldB", answer, "eva", "")
     assert again.next(NOW) == "ToldB" and again.element_of("ToldB") == "oldX"
     assert (stands(again, "oldB") is not None) == (answer == "stands")
@@ -264,13 +264,13 @@ def test_tasks_that_have_changed_their_elements_leave_them_where_they_stand(two_
     board = opened(two_placed, replace(ready, schedule=Schedule(jobs, ())))
     of_b(board)
     assert stands(board, "oldA").position[0] == 0.0 and {
-        task for task, memory in board.book.tasks.items() if memory.placed
+        task for task, memory in board.states.tasks.items() if memory.placed
     } == {"ToldA", "ToldB"}
-    assert board.element_of("ToldA") == "oldB" == board.book.tasks["ToldA"].element
+    assert board.element_of("ToldA") == "oldB" == board.states.tasks["ToldA"].element
 
 
 def test_what_a_removal_has_taken_down_says_nothing_of_its_next_element(tmp_path):
-    def takes_down(element: str, digest: str) -> Prepared:
+    def takes_down(element: str, digest: str) -> LoadedModel:
         ready = model("old", "A", digest=digest)
         removal = Job("TR", "TR", "Take down", element, (), ())
         body = SceneObject(f"{element}/0", "box", SIZE, (3.0, 1.0, 0.6))
@@ -285,7 +285,7 @@ def test_what_a_removal_has_taken_down_says_nothing_of_its_next_element(tmp_path
     assert stands(board, "old wall") is None
     board.ledger.close()
     again = opened(tmp_path, takes_down("other wall", "b"))
-    assert stands(again, "other wall") is not None and again.book.tasks["TR"].state is TaskState.READY
+    assert stands(again, "other wall") is not None and again.states.tasks["TR"].state is TaskState.READY
 
 
 # -- the same element under another id
@@ -297,12 +297,12 @@ def test_a_model_with_other_ids_asks_by_name_whether_it_is_the_same_and_places_n
     assert row(board, "A").answers == ("same", "stands", "taken_away")
     for task in ("ToldA", "ToldB"):
         decisions.answer(board, task, "same", "eva", "")
-    assert board.next(NOW) == "TnewC" and board.book.former == {}
+    assert board.next(NOW) == "TnewC" and board.states.former == {}
     assert stands(board, "oldB") is None and np.allclose(stands(board, "newB").position, (0.6, 1.001, 0.6))
     assert board.built.deviation("TnewB").distance == pytest.approx(0.001)
     board.ledger.close()
     again = opened(two_placed, model("new", "A", "B", "C", "D", digest="b"))
-    assert again.next(NOW) == "TnewC" and again.book.asking == ()
+    assert again.next(NOW) == "TnewC" and again.states.asking == ()
 
 
 @pytest.mark.parametrize("difference", ["name", "class", "place"])
@@ -322,10 +322,10 @@ def test_the_former_model_again_asks_again_and_places_nothing_twice(two_placed):
         decisions.answer(board, task, "same", "eva", "")
     board.ledger.close()
     again = opened(two_placed, model("old", "A", "B", "C", "D"))
-    assert again.book.asking == ("TnewA", "TnewB") and row(again, "TnewB").answers[0] == "same"
+    assert again.states.asking == ("TnewA", "TnewB") and row(again, "TnewB").answers[0] == "same"
     decisions.answer(again, "TnewA", "same", "eva", "")
     decisions.answer(again, "TnewB", "same", "eva", "")
-    assert again.next(NOW) == "ToldC" and again.book.tasks["ToldB"].placed
+    assert again.next(NOW) == "ToldC" and again.states.tasks["ToldB"].placed
     of_b(again)
 
 
@@ -391,7 +391,7 @@ def test_the_same_ids_in_another_ledger_are_asked_about_once(two_placed):
     ready = model("old", "A", "B", "C", "D")
     board = opened(two_placed, ready, "kr120_shed")
     of_b(board)
-    assert board.next(NOW) == "" and board.book.asking == ("ToldA", "ToldB")
+    assert board.next(NOW) == "" and board.states.asking == ("ToldA", "ToldB")
     assert "the ledger kr120_deck.jsonl in the same folder" in row(board, "ToldB").question
     assert row(board, "ToldB").answers == ("in_stock", "placed", "gone")
     decisions.answer(board, "ToldA", "placed", "eva", "")
@@ -400,12 +400,12 @@ def test_the_same_ids_in_another_ledger_are_asked_about_once(two_placed):
     lines = board.ledger.lines
     board.ledger.close()
     again = opened(two_placed, ready, "kr120_shed")
-    assert again.book.asking == () and again.ledger.lines == lines
+    assert again.states.asking == () and again.ledger.lines == lines
 
 
 def test_the_same_places_in_another_ledger_are_asked_about_and_others_are_not(two_placed):
     board = opened(two_placed, model("new", "X", digest="b"), "kr120_shed")
-    assert board.book.asking == ("oldA",) and "in the same folder says that it was placed" in row(board, "A").question
+    assert board.states.asking == ("oldA",) and "in the same folder says that it was placed" in row(board, "A").question
     assert stands(board, "oldA") is not None and stands(board, "oldB") is None
     decisions.answer(board, "oldA", "taken_away", "eva", "")
     board.ledger.close()
@@ -417,12 +417,12 @@ def test_an_element_without_a_body_does_not_keep_other_ledgers_from_being_read(t
     ready = model("new", "X", "Y", digest="b")
     bodiless = replace(ready.elements["newX"], bodies=())
     ready = replace(ready, elements={**ready.elements, "newX": bodiless}, unplannable={"newX": "doubtful"})
-    assert opened(two_placed, ready, "kr120_shed").book.asking == ("oldB",)
+    assert opened(two_placed, ready, "kr120_shed").states.asking == ("oldB",)
 
 
 def test_what_another_robot_placed_is_asked_about_by_its_id_alone(two_placed):
     board = opened(two_placed, model("old", "A", digest="b"), "kr120_2_deck", "kr120_2")
-    assert board.book.asking == ("ToldA",)
+    assert board.states.asking == ("ToldA",)
     assert np.allclose(stands(board, "oldA").position, board.built.element("ToldA").base_T_goal.position), (
         "its own frame is another one"
     )
@@ -434,4 +434,4 @@ def test_what_another_robot_placed_is_asked_about_by_its_id_alone(two_placed):
 def test_a_ledger_that_is_written_meanwhile_is_read_to_its_last_whole_line(two_placed):
     with (two_placed / "kr120_deck.jsonl").open("a") as file:
         file.write('{"time": "20')
-    assert opened(two_placed, model("old", "A"), "kr120_shed").book.asking == ("ToldA",)
+    assert opened(two_placed, model("old", "A"), "kr120_shed").states.asking == ("ToldA",)

@@ -18,8 +18,8 @@ from construction_twin.extensions.work.following import (
     followed_plan,
     followed_unseen,
 )
-from construction_twin.extensions.work.heard import GripReading, grip_of
 from construction_twin.extensions.work.ledger import Ledger
+from construction_twin.extensions.work.received import GripReading, grip_of
 from construction_twin.extensions.work.task_memory import PLANNABLE, SETTLED, Entry, TaskMemory, TaskState
 from construction_twin.review.record import Fate
 from construction_twin.robot.segments import Segment, Switch
@@ -75,7 +75,7 @@ class Node:
 
     @property
     def memory(self) -> TaskMemory:
-        return self.ledger.book.tasks["stud"]
+        return self.ledger.states.tasks["stud"]
 
     def add(self, entry: Entry) -> None:
         if self._left <= 0:

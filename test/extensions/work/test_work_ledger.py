@@ -56,10 +56,10 @@ def test_every_line_is_replayed_to_the_state_it_left(tmp_path):
         first.add(entry)
         first.close()
         first = ledger(path)
-        assert first.book.tasks["plate"].state is state
-    memory = first.book.tasks["plate"]
+        assert first.states.tasks["plate"].state is state
+    memory = first.states.tasks["plate"]
     assert memory.placed and not memory.in_grip and memory.base_T_element == STANDS
-    assert first.book.in_state(TaskState.READY) == ("stud",)
+    assert first.states.in_state(TaskState.READY) == ("stud",)
     assert len(path.read_text().splitlines()) == first.lines == len(STEPS) + 1
 
 
@@ -79,14 +79,14 @@ def test_a_kill_inside_any_line_leaves_the_lines_before_it(tmp_path):
         path.write_bytes(content[:cut])
         again = ledger(path)
         lines = content[:cut].count(b"\n")
-        assert again.book.tasks["plate"].state is states[max(lines - 1, 0)]
+        assert again.states.tasks["plate"].state is states[max(lines - 1, 0)]
         torn = cut > 0 and content[cut - 1 : cut] != b"\n"
         assert [entry.event for entry in read_entries(path)].count("mended") == torn
         again.add(Entry("accept_schedule", schedule="s", person="eva"))
         again.close()
         last = ledger(path)
         last.close()
-        assert last.book.accepted == "s"
+        assert last.states.accepted == "s"
 
 
 def test_what_was_done_may_not_be_offered_again(tmp_path):
@@ -113,19 +113,19 @@ def test_a_person_answers(tmp_path, answer, state, in_grip, placed):
     for entry, _ in STEPS[:5]:
         book.add(entry)
     book.add(Entry("stopped", "plate", "E1", reason="held"))
-    memory = book.book.tasks["plate"]
+    memory = book.states.tasks["plate"]
     assert memory.state is TaskState.ASKS and answer in memory.possible_answers()
     book.add(Entry("answered", "plate", "E1", answer=answer, person="eva"))
-    memory = book.book.tasks["plate"]
+    memory = book.states.tasks["plate"]
     assert (memory.state, memory.in_grip, memory.placed) == (state, in_grip, placed)
     if state is TaskState.CARRIED:
         assert memory.tool0_T_element == HELD_AS
         book.add(Entry("offered", "plate", "E1", offer="o2"))
         book.add(Entry("dropped", "plate", "E1"))
-        assert book.book.tasks["plate"].state is TaskState.CARRIED
+        assert book.states.tasks["plate"].state is TaskState.CARRIED
         book.add(Entry("offered", "plate", "E1", offer="o3"))
         book.add(Entry("begun", "plate", "E1", plan="p3"))
-        assert book.book.tasks["plate"].state is TaskState.CARRYING
+        assert book.states.tasks["plate"].state is TaskState.CARRYING
 
 
 def test_what_was_never_held_cannot_have_been_placed(tmp_path):
@@ -133,7 +133,7 @@ def test_what_was_never_held_cannot_have_been_placed(tmp_path):
     for entry, _ in STEPS[:4]:
         book.add(entry)
     book.add(Entry("unknown", "plate", "E1"))
-    assert book.book.tasks["plate"].possible_answers() == ("in_stock", "in_grip", "gone")
+    assert book.states.tasks["plate"].possible_answers() == ("in_stock", "in_grip", "gone")
     for wrong in ("placed", "perhaps", ""):
         with pytest.raises(NotNow):
             book.add(Entry("answered", "plate", "E1", answer=wrong))
@@ -141,23 +141,23 @@ def test_what_was_never_held_cannot_have_been_placed(tmp_path):
 
 def test_skipped_tasks_free_others_and_redone_ones_block_them(tmp_path):
     book = ledger(tmp_path / "ledger.jsonl")
-    assert book.book.missing("board") == ("plate", "stud")
+    assert book.states.missing("board") == ("plate", "stud")
     book.add(Entry("skipped", "plate", person="eva"))
     book.add(Entry("skipped", "stud", person="eva"))
-    assert book.book.in_state(TaskState.READY) == ("board",)
+    assert book.states.in_state(TaskState.READY) == ("board",)
     book.add(Entry("redone", "stud", person="eva"))
-    assert book.book.in_state(TaskState.WAITING) == ("board",)
+    assert book.states.in_state(TaskState.WAITING) == ("board",)
     book.add(Entry("measured", "plate", pose=STANDS, person="eva"))
-    assert book.book.tasks["plate"].placed and book.book.tasks["plate"].measured == "eva"
+    assert book.states.tasks["plate"].placed and book.states.tasks["plate"].measured == "eva"
 
 
 def test_a_task_that_others_stand_on_is_named(tmp_path):
     book = ledger(tmp_path / "ledger.jsonl")
     for entry, _ in STEPS:
         book.add(entry)
-    assert book.book.followers("plate") == ()
+    assert book.states.followers("plate") == ()
     book.add(Entry("offered", "stud", "E2", offer="o2"))
-    assert book.book.followers("plate") == ("stud",)
+    assert book.states.followers("plate") == ("stud",)
 
 
 def test_a_changed_schedule_does_not_undo_what_was_done(tmp_path):
@@ -167,10 +167,10 @@ def test_a_changed_schedule_does_not_undo_what_was_done(tmp_path):
         book.add(entry)
     book.close()
     again = ledger(path, {"stud": (), "plate": ("stud",)})
-    assert again.book.tasks["plate"].state is TaskState.DONE
+    assert again.states.tasks["plate"].state is TaskState.DONE
     again.close()
     gone = ledger(path, {"stud": ()}, placing={"E2": "stud"})
-    assert gone.book.former["plate"].placed and gone.book.asking == ()
+    assert gone.states.former["plate"].placed and gone.states.asking == ()
 
 
 @pytest.mark.parametrize("number", range(len(STEPS)))
@@ -182,17 +182,17 @@ def test_a_changed_model_asks_about_everything_that_was_touched(tmp_path, number
         before.add(entry)
     before.close()
     again = ledger(path, model="b" * 64)
-    memory = again.book.tasks["plate"]
-    assert memory.state is TaskState.ASKS and again.book.model == "b" * 64
-    assert again.book.in_state(*PLANNABLE) == ()
+    memory = again.states.tasks["plate"]
+    assert memory.state is TaskState.ASKS and again.states.model == "b" * 64
+    assert again.states.in_state(*PLANNABLE) == ()
     lines = again.lines
     again.close()
     once_more = ledger(path, model="b" * 64)
     assert once_more.lines == lines, "it asks once for each change"
-    if answer in once_more.book.tasks["plate"].possible_answers():
+    if answer in once_more.states.tasks["plate"].possible_answers():
         once_more.add(Entry("answered", "plate", "E1", answer=answer, person="eva"))
     if number >= 6:
-        pose = once_more.book.tasks["plate"].base_T_element
+        pose = once_more.states.tasks["plate"].base_T_element
         assert pose == (STANDS if answer == "placed" else ())
 
 
@@ -203,11 +203,11 @@ def test_an_element_that_another_task_places_now_is_asked_about(tmp_path):
         before.add(entry)
     before.close()
     again = ledger(path, {"new": ()}, "b" * 64, {"E1": "new"})
-    memory = again.book.tasks["new"]
+    memory = again.states.tasks["new"]
     assert memory.state is TaskState.ASKS and memory.possible_answers() == ("in_stock", "placed", "gone")
-    assert again.book.former == {}
+    assert again.states.former == {}
     again.add(Entry("answered", "new", "E1", answer="placed", person="eva"))
-    memory = again.book.tasks["new"]
+    memory = again.states.tasks["new"]
     assert memory.state is TaskState.DONE and memory.base_T_element == STANDS
 
 

@@ -26,7 +26,7 @@ from construction_twin.core.worker import Worker
 from construction_twin.extensions.work.built import pose_of_tuple
 from construction_twin.extensions.work.errors import LedgerError
 from construction_twin.extensions.work.ledger import Ledger
-from construction_twin.extensions.work.prepared import WORKER
+from construction_twin.extensions.work.loaded_model import WORKER
 from construction_twin.scene.objects import SceneObject as Body
 
 FENCE = Body("fence", "box", (0.1, 0.1, 0.1), (-3.0, 0.0, 0.5))
@@ -248,7 +248,7 @@ class TestEngaged:
         bench.tool(True)
         bench.node.open()
         bench.run()
-        assert bench.heard.work_plan(bench.plan.id) is None
+        assert bench.received.work_plan(bench.plan.id) is None
         assert bench.events[-1] == "stopped" and bench.noted == [("edit_scene", "stopped")]
         assert bench.scene.hash == after(bench, GRIP) and bench.ask().success
 
@@ -479,11 +479,11 @@ def answered(answer: str) -> WorkDecideRequest:
 
 def test_messages_that_cannot_be_read_are_refused_and_change_nothing(bench):
     bench.ready()
-    scene = bench.heard.scene
+    scene = bench.received.scene
     bench.hear("scene", Scene(objects=[SceneObject(name="a", shape="cube")]))
     bench.hear("plan", Plan(id="p", segments=[Segment(put=[SceneObject(name="a", shape="cube")])]))
     assert [reason for reason, _ in bench.refused] == ["scene", "plan"]
-    assert bench.heard.scene is scene and bench.heard.plan is None
+    assert bench.received.scene is scene and bench.received.plan is None
 
 
 def test_a_ledger_belongs_to_robot_and_site_whatever_the_models_file_is_called(bench):

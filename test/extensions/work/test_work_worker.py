@@ -8,7 +8,7 @@ import textwrap
 import pytest
 
 from construction_twin.core.worker import Worker, WorkerError
-from construction_twin.extensions.work.prepared import WORKER
+from construction_twin.extensions.work.loaded_model import WORKER
 
 #: A process with functions of its own.
 PROGRAM = """

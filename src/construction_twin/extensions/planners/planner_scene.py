@@ -27,11 +27,9 @@ class PlannerObject:
     """One object of the scene, grown by its padding.
 
     Attributes:
-        name, shape: As in `SceneObject`.
         dimensions: [m] box: x, y, z; cylinder: radius, length; sphere: radius; mesh: empty.
         vertices, triangles: Shape (v, 3) and (t, 3). Of a mesh [m]; otherwise empty.
         frame: The link that it stands in: the one that carries it, or the robot's base_link.
-        pose: In that link.
         touch_links: Links that a carried object may touch: those that move with it, and those it names.
     """
 

@@ -160,11 +160,7 @@ _FAILURES = {
 
 
 class TrajectoryGoals:
-    """Takes goals, one at a time, and says what has to be done about them.
-
-    Attributes:
-        plan: Of the goal that has the arm; None before the planner has answered.
-    """
+    """Takes goals, one at a time, and says what has to be done about them; `plan` is of the goal that has the arm."""
 
     def __init__(self, robot: RobotModel, reviewed_by: str):
         self._robot = robot

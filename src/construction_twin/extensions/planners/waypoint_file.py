@@ -127,9 +127,7 @@ def format_waypoints(
 
     Numbers are the shortest decimals that give the same 64 bit value again: read back, a file in rad has the trajectory's hash.
 
-    Args:
-        linear: Length n. Which joints are prismatic.
-        degrees: In deg and mm; exact to the last digit or two. Otherwise in rad and m.
+    `degrees`: In deg and mm, exact to the last digit or two; otherwise in rad and m.
     """
     units = [("mm" if is_linear else "deg") if degrees else ("m" if is_linear else "rad") for is_linear in linear]
     names = [_TIME]

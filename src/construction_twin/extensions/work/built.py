@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from construction_twin.extensions.work.convex_bodies import Pieces
-from construction_twin.extensions.work.ledger import Book, Ledger
-from construction_twin.extensions.work.prepared import ElementFacts, Prepared, element_in
+from construction_twin.extensions.work.ledger import Ledger, TaskStates
+from construction_twin.extensions.work.loaded_model import ElementFacts, LoadedModel, element_in
 from construction_twin.extensions.work.schedule import Job
 from construction_twin.extensions.work.task_memory import SETTLED, TaskMemory, TaskState
 from construction_twin.kinematics.batch_kinematics import angles_between
@@ -106,38 +106,38 @@ class Appearance:
 class AsBuilt:
     """What stands, lies in stock or is in the grip: the ledger read against the model."""
 
-    def __init__(self, prepared: Prepared, ledger: Ledger, tip_link: str):
-        self.prepared, self.ledger = prepared, ledger
+    def __init__(self, loaded: LoadedModel, ledger: Ledger, tip_link: str):
+        self.loaded, self.ledger = loaded, ledger
         self._tip_link = tip_link
         self._kept: dict[tuple[str, str], tuple[SceneObject, ...]] = {}
-        for memory in self.book.tasks.values():
+        for memory in self.states.tasks.values():
             if memory.placed:
                 # what stands and cannot be shown is told at once
                 self.bodies(memory)
 
     @property
-    def book(self) -> Book:
+    def states(self) -> TaskStates:
         """What the ledger says now."""
-        return self.ledger.book
+        return self.ledger.states
 
     def job(self, task: str) -> Job:
         """Return a task's job; of one that the schedule does not have any more what the ledger says."""
-        if task in self.book.after:
-            return self.prepared.schedule.job(task)
-        memory = self.book.tasks[task]
+        if task in self.states.after:
+            return self.loaded.schedule.job(task)
+        memory = self.states.tasks[task]
         return Job(task, task, memory.name, memory.element, (), ())
 
     def element(self, task: str) -> ElementFacts:
         """Return what is known of a task's element; of one that the model does not have any more what the ledger says."""
-        if task in self.book.after:
-            return self.prepared.elements[self.job(task).element]
-        memory = self.book.tasks[task]
+        if task in self.states.after:
+            return self.loaded.elements[self.job(task).element]
+        memory = self.states.tasks[task]
         name = memory.name or memory.element or task
         return ElementFacts(name, self.bodies(memory), placed_at(memory, ORIGIN), np.empty((0, 3, 3)))
 
     def elements(self) -> list[str]:
         """Return the elements that jobs place or work on, in their order."""
-        return list(dict.fromkeys(job.element for job in self.prepared.schedule.jobs))
+        return list(dict.fromkeys(job.element for job in self.loaded.schedule.jobs))
 
     def bodies(self, memory: TaskMemory) -> tuple[SceneObject, ...]:
         """Return an element's pieces as they were placed, of which the ledger has any; read once."""
@@ -153,52 +153,52 @@ class AsBuilt:
 
     def stock(self, element: str) -> Pose | None:
         """Return where an element lies before it is taken; None: it has no slot."""
-        slot = self.prepared.stock.slots.get(element)
+        slot = self.loaded.stock.slots.get(element)
         return None if slot is None else slot.base_T_element
 
     def present(self) -> tuple[str, ...]:
         """Return the elements that lie in their stock."""
-        return self.prepared.stock.present(self.taken())
+        return self.loaded.stock.present(self.taken())
 
     def taken(self) -> list[str]:
         """Return the elements that do not lie in their stock any more."""
-        tasks = self.book.tasks
-        return [element for element, task in self.prepared.schedule.placing.items() if tasks[task].taken]
+        tasks = self.states.tasks
+        return [element for element, task in self.loaded.schedule.placing.items() if tasks[task].taken]
 
     def gone(self) -> set[str]:
         """Return what was taken down."""
-        return {element for task, element in self.prepared.removals.items() if self.book.tasks[task].gone}
+        return {element for task, element in self.loaded.removals.items() if self.states.tasks[task].gone}
 
     def placing(self, element: str) -> TaskMemory | None:
         """Return what is known of where an element is: of the task that places it, or did; None: it stands as the model has it."""
-        task = self.prepared.schedule.placing.get(element)
+        task = self.loaded.schedule.placing.get(element)
         if task is not None:
-            return self.book.tasks[task]
-        return next((memory for memory in self.book.former.values() if memory.element == element), None)
+            return self.states.tasks[task]
+        return next((memory for memory in self.states.former.values() if memory.element == element), None)
 
     def deviation(self, task: str) -> Deviation | None:
         """Return how far a placed element stands from the model; None: it is not placed, not in it, or where was not measured."""
-        memory = self.book.tasks[task]
-        if task not in self.book.after or not (memory.placed and memory.base_T_element) or memory.as_planned:
+        memory = self.states.tasks[task]
+        if task not in self.states.after or not (memory.placed and memory.base_T_element) or memory.as_planned:
             return None
         return deviation(pose_of_tuple(memory.base_T_element), self.element(task).base_T_goal)
 
     def is_off(self, element: str) -> bool:
         """Return whether a placed element stands so far from its place that people are shown it."""
-        task = self.prepared.schedule.placing.get(element)
+        task = self.loaded.schedule.placing.get(element)
         far = None if task is None else self.deviation(task)
         return far is not None and (far.distance > OFF or far.angle > OFF_ANGLE)
 
     def wanted_scene(self) -> tuple[dict[str, SceneObject], tuple[str, ...]]:
         """Return the work's objects of the scene by name, and the elements whose objects are left as they are."""
-        gone, former = self.gone(), {memory.element: memory for memory in self.book.former.values()}
-        wanted = {item.name: item for item in self.prepared.tool_objects}
+        gone, former = self.gone(), {memory.element: memory for memory in self.states.former.values()}
+        wanted = {item.name: item for item in self.loaded.tool_objects}
         left_alone: list[str] = []
         # what was placed stands as it was placed, whatever the model says of it
         kept = {element for element, memory in former.items() if memory.body}
-        for item in self.prepared.standing:
+        for item in self.loaded.standing:
             element = element_in(item)
-            before = map(self.placing, self.prepared.comes_after.get(element, ()))
+            before = map(self.placing, self.loaded.comes_after.get(element, ()))
             if element not in gone | kept and all(memory is not None and memory.placed for memory in before):
                 wanted[item.name] = item
 
@@ -227,7 +227,7 @@ class AsBuilt:
         for element in self.elements():
             if element in gone | kept:
                 continue
-            facts, stock = self.prepared.elements[element], self.stock(element) if element in present else None
+            facts, stock = self.loaded.elements[element], self.stock(element) if element in present else None
             known = self.placing(element)
             bodies = self.bodies(known) if known is not None and known.placed else ()
             show(element, bodies or facts.bodies, known, stock, facts.base_T_goal)
@@ -235,13 +235,13 @@ class AsBuilt:
 
     def counterpart(self, task: str) -> str:
         """Return the task that is to place what has name, class and place of what one that is no more has placed; empty: none."""
-        memory = self.book.tasks[task]
-        if task in self.book.after or not (memory.placed and memory.body):
+        memory = self.states.tasks[task]
+        if task in self.states.after or not (memory.placed and memory.body):
             return ""
         here = box_of(self.bodies(memory), placed_at(memory, ORIGIN))
-        for element, heir in self.prepared.schedule.placing.items():
-            facts = self.prepared.elements[element]
-            free = self.book.tasks[heir].state in (TaskState.WAITING, TaskState.READY)
+        for element, heir in self.loaded.schedule.placing.items():
+            facts = self.loaded.elements[element]
+            free = self.states.tasks[heir].state in (TaskState.WAITING, TaskState.READY)
             if free and facts.bodies and (facts.name, facts.ifc_class) == (memory.name, memory.ifc_class):
                 if np.abs(here - self.goal_box(heir)).max() <= SAME_PLACE:
                     return heir
@@ -264,9 +264,9 @@ class AsBuilt:
         found = []
         present = self.present()
         for element in self.elements():
-            facts, memory = self.prepared.elements[element], self.placing(element)
-            mine = [job.id for job in self.prepared.schedule.jobs if job.element == element]
-            states = {self.book.tasks[task].state for task in mine}
+            facts, memory = self.loaded.elements[element], self.placing(element)
+            mine = [job.id for job in self.loaded.schedule.jobs if job.element == element]
+            states = {self.states.tasks[task].state for task in mine}
             placed = memory is not None and memory.placed
             where = placed_at(memory, facts.base_T_goal) if memory is not None and placed else facts.base_T_goal
             if placed and self.is_off(element):

@@ -46,8 +46,8 @@ def accept(board: TaskBoard, person: str, reason: str) -> str:
         origin = "the model's own" if board.schedule_word == FROM_MODEL else "accepted already"
         raise WorkRefused(f"the schedule is {origin}: there is nothing to accept")
     _check_named(person)
-    board.ledger.add(Entry(ACCEPTED, person=person, reason=reason, schedule=board.prepared.schedule_digest))
-    return f"{person} accepts the proposed schedule of {len(board.prepared.schedule.jobs)} tasks"
+    board.ledger.add(Entry(ACCEPTED, person=person, reason=reason, schedule=board.loaded.schedule_digest))
+    return f"{person} accepts the proposed schedule of {len(board.loaded.schedule.jobs)} tasks"
 
 
 def skip(board: TaskBoard, task: str, person: str, reason: str) -> str:
@@ -59,15 +59,15 @@ def skip(board: TaskBoard, task: str, person: str, reason: str) -> str:
         raise WorkRefused(f"{board.title(task)} is {state.value} and cannot be skipped")
     board.add(Entry("skipped", task, person=person, reason=reason))
     skipped = f"{board.title(task)} is skipped: what comes after it no longer waits"
-    if task in board.prepared.removals:
+    if task in board.loaded.removals:
         return f"{skipped}; {board.built.element(task).name} stays"
-    return skipped if board.prepared.stays(task) else f"{skipped}; take its element out of the stock"
+    return skipped if board.loaded.stays(task) else f"{skipped}; take its element out of the stock"
 
 
 def removed(board: TaskBoard, task: str, person: str, reason: str) -> str:
     """Record that what a removal takes down, or what was placed, is gone."""
     memory = _memory(board, task, person, former=True)
-    if task in board.prepared.removals:
+    if task in board.loaded.removals:
         if memory.state is TaskState.DONE:
             raise WorkRefused(f"{board.built.element(task).name} is gone already")
     elif not memory.placed:
@@ -87,10 +87,10 @@ def redo(board: TaskBoard, task: str, person: str, reason: str) -> str:
         return f"{board.title(task)} asks: {board.question(task)}"
     if state not in (TaskState.DONE, TaskState.SKIPPED, TaskState.HELD):
         raise WorkRefused(f"{board.title(task)} is {state.value}; it was not done or skipped yet")
-    later = board.book.followers(task)
+    later = board.states.followers(task)
     if later:
         raise WorkRefused(f"{board.title(later[0])} came after {board.title(task)}: redo that first")
-    taken_down, stays = task in board.prepared.removals, board.prepared.stays(task)
+    taken_down, stays = task in board.loaded.removals, board.loaded.stays(task)
     if not taken_down and not stays:
         _slot_free(board, task)
     board.add(Entry("redone", task, person=person, reason=reason))
@@ -103,7 +103,7 @@ def redo(board: TaskBoard, task: str, person: str, reason: str) -> str:
 
 def lost(board: TaskBoard) -> str:
     """Have what counts as carried asked about, as the tool is surely open; return a sentence, empty: nothing is."""
-    held = board.book.in_state(TaskState.CARRIED)
+    held = board.states.in_state(TaskState.CARRIED)
     if not held:
         return ""
     reason = "the tool says that it holds nothing"
@@ -142,18 +142,18 @@ def answer_all(board: TaskBoard, given: str, person: str, reason: str) -> str:
         answers = ", ".join(ANSWERS_FOR_ALL)
         raise WorkRefused(f"{given!r} is answered for one task at a time; for all at once only {answers}")
     count = 0
-    for task in board.book.asking:
+    for task in board.states.asking:
         # each is looked at when it is its turn: what was answered before may have taken its counterpart
-        if board.book.tasks[task].placed and given in board.answers(task):
+        if board.states.tasks[task].placed and given in board.answers(task):
             answer(board, task, given, person, reason)
             count += 1
-    meaning, left = _MEANINGS[given], len(board.book.asking)
+    meaning, left = _MEANINGS[given], len(board.states.asking)
     return Sentence("{count} answered ({answer}), {left} still ask", count=count, answer=meaning, left=left)
 
 
 def _take_as(board: TaskBoard, task: str, heir: str, person: str, reason: str) -> None:
-    memory, facts = board.book.tasks[task], board.built.element(heir)
-    entry = replace(placed_elsewhere("same", heir, memory, reason), seen=board.prepared.present[heir].digest)
+    memory, facts = board.states.tasks[task], board.built.element(heir)
+    entry = replace(placed_elsewhere("same", heir, memory, reason), seen=board.loaded.present[heir].digest)
     body, goal = board.ledger.keep(facts.bodies), pose_tuple(facts.base_T_goal)
     if body != memory.body:
         # its frame may be another one: where it stands is known as well as places are compared
@@ -166,30 +166,28 @@ def look_around(board: TaskBoard) -> None:
     for path in sorted(board.ledger.path.parent.glob("*.jsonl")):
         if path == board.ledger.path:
             continue
-        book = replay(path, {})
-        mine = board.robot == book.robot or (not book.robot and path.name.startswith(f"{board.robot}_"))
-        for memory in book.tasks.values():
+        states = replay(path, {})
+        mine = board.robot == states.robot or (not states.robot and path.name.startswith(f"{board.robot}_"))
+        for memory in states.tasks.values():
             source = f"{path.name} {memory.task} {memory.settled_ns}"
-            if memory.placed and source not in board.book.found:
+            if memory.placed and source not in board.states.found:
                 _look_at(board, memory if mine else replace(memory, base_T_element=(), goal=()), mine, source)
 
 
 def _look_at(board: TaskBoard, memory: TaskMemory, mine: bool, source: str) -> None:
-    book, task = board.book, board.prepared.schedule.placing.get(memory.element, "")
-    if any(each.element == memory.element and each.touched for each in book.tasks.values()):
+    states, task = board.states, board.loaded.schedule.placing.get(memory.element, "")
+    if any(each.element == memory.element and each.touched for each in states.tasks.values()):
         return
     if not task:
         if not (mine and memory.body):
             return
-        (low, high), placing = (
-            box_of(board.built.bodies(memory), placed_at(memory, ORIGIN)),
-            board.prepared.schedule.placing,
-        )
-        boxes = (board.built.goal_box(one) for one in placing.values() if board.built.element(one).bodies)
+        low, high = box_of(board.built.bodies(memory), placed_at(memory, ORIGIN))
+        placing = board.loaded.schedule.placing.values()
+        boxes = (board.built.goal_box(one) for one in placing if board.built.element(one).bodies)
         if not any((np.minimum(high, box[1]) - np.maximum(low, box[0]) > OVERLAP).all() for box in boxes):
             return
         task = memory.element
-    elif book.tasks[task].state not in (TaskState.WAITING, TaskState.READY):
+    elif states.tasks[task].state not in (TaskState.WAITING, TaskState.READY):
         return
     board.ledger.add(replace(placed_elsewhere("found", task, memory, source=source), former=""))
 
@@ -197,10 +195,10 @@ def _look_at(board: TaskBoard, memory: TaskMemory, mine: bool, source: str) -> N
 def measured(board: TaskBoard, element: str, pose: Pose, person: str, reason: str) -> Deviation:
     """Record where an element really is."""
     _check_named(person)
-    task = board.prepared.schedule.placing.get(element)
+    task = board.loaded.schedule.placing.get(element)
     if task is None:
         raise WorkRefused(f"no task places element {element!r}; `twin work list` names them")
-    state = board.book.tasks[task].state
+    state = board.states.tasks[task].state
     if state not in SETTLED:
         raise WorkRefused(f"{board.built.element(task).name} is not placed yet: {board.title(task)} is {state.value}")
     found = deviation(pose, board.built.element(task).base_T_goal)
@@ -213,23 +211,23 @@ def measured(board: TaskBoard, element: str, pose: Pose, person: str, reason: st
 
 def _slot_free(board: TaskBoard, task: str) -> None:
     """Refuse to count an element as back in stock while another one lies there."""
-    other = board.prepared.stock.instead_of(board.element_of(task), board.built.taken())
+    other = board.loaded.stock.instead_of(board.element_of(task), board.built.taken())
     if not other:
         return
-    later = board.title(board.prepared.schedule.placing[other])
-    taken = f"{board.prepared.elements[other].name} counts as delivered in the slot of {board.built.element(task).name}"
+    later = board.title(board.loaded.schedule.placing[other])
+    taken = f"{board.loaded.elements[other].name} counts as delivered in the slot of {board.built.element(task).name}"
     raise WorkRefused(f"{taken}: take it out and skip {later} first; redo that afterwards")
 
 
 def _memory(board: TaskBoard, task: str, person: str, former: bool = False) -> TaskMemory:
     """Return what is known of a task that there is."""
-    if task not in board.book.after and task not in board.book.former:
+    if task not in board.states.after and task not in board.states.former:
         raise WorkRefused(f"there is no task {task!r}; `twin work list` names them")
-    if task not in board.book.after and not former:
+    if task not in board.states.after and not former:
         name = board.built.element(task).name
         raise WorkRefused(f"{name} is not in the model any more; once it is taken away, say {removed_command(name)}")
     _check_named(person)
-    return board.book.tasks[task]
+    return board.states.tasks[task]
 
 
 def _check_named(person: str) -> None:

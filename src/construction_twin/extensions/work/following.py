@@ -13,7 +13,7 @@ from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.core.reports import EngagementReport, ExecutionReport
 from construction_twin.extensions.work import decisions, engaged_scene
 from construction_twin.extensions.work.built import as_built, pose_of_tuple, pose_tuple
-from construction_twin.extensions.work.heard import GripReading, Heard, KnownPlan
+from construction_twin.extensions.work.received import GripReading, KnownPlan, Received
 from construction_twin.extensions.work.task_board import TaskBoard
 from construction_twin.extensions.work.task_memory import (
     MEASURED,
@@ -181,10 +181,10 @@ class Follower:
     """
 
     def __init__(
-        self, board: TaskBoard, heard: Heard, chain: Chain, arm_pose: Callable[[], tuple[float, ...]],
+        self, board: TaskBoard, received: Received, chain: Chain, arm_pose: Callable[[], tuple[float, ...]],
         refuse: Callable[[str, str], None], log: Callable[[str], None],
     ):  # fmt: skip
-        self._board, self._heard = board, heard
+        self._board, self._received = board, received
         self._chain, self._arm_pose = chain, arm_pose
         self._refuse, self._log = refuse, log
 
@@ -194,28 +194,28 @@ class Follower:
         self._drop_if_turned_down()
         self.settle_if_lost()
         # what counts as carried is asked about when the tool is surely open
-        if not self._heard.playing and self.grip().surely_open and (sentence := decisions.lost(self._board)):
+        if not self._received.playing and self.grip().surely_open and (sentence := decisions.lost(self._board)):
             self._log(sentence)
 
     def grip(self) -> GripReading:
         """Return what the tool says of its grip."""
-        return self._heard.grip(self._board.prepared.tool)
+        return self._received.grip(self._board.loaded.tool)
 
     # -- the task under way
 
     def follow(self, report: ExecutionReport | None) -> None:
         """Record what a report says of the task under way."""
-        left, memory = self._heard.left, self._under_way()
-        if memory is None or report is None or self._heard.unsaid:
+        left, memory = self._received.left, self._under_way()
+        if memory is None or report is None or self._received.unsaid:
             return
-        known = self._heard.work_plan(left.plan_id) if left is not None else None
+        known = self._received.work_plan(left.plan_id) if left is not None else None
         if left is not None and left.plan_id == memory.plan and known is not None:
             if report.plan_id != memory.plan or not report.playing:
                 self._follow_left(memory, left, known, report)
                 return
-        followed = self._followed(memory, self._heard.plan)
+        followed = self._followed(memory, self._received.plan)
         if followed is None or followed.id != report.plan_id:
-            # without the plan nothing can be told of its segments; its end will be heard
+            # without the plan nothing can be told of its segments; its end will be received
             if not memory.plan or report.plan_id != memory.plan or not report.outcome:
                 return
             followed = followed_unseen(memory.plan, memory, report.outcome)
@@ -249,7 +249,7 @@ class Follower:
             self._log(f"{self._board.title(entry.task)}: {entry.event}{reason}")
 
     def _under_way(self) -> TaskMemory | None:
-        return self._board.book.tasks.get(self._board.book.busy)
+        return self._board.states.tasks.get(self._board.states.busy)
 
     def _followed(self, memory: TaskMemory, known: KnownPlan | None) -> Followed | None:
         """Return where a plan acts; None: it is another task's."""
@@ -258,13 +258,13 @@ class Follower:
         plan = known.plan
         if plan.id != memory.plan and not (memory.offer and memory.offer in plan.source):
             return None
-        return followed_plan(plan.id, memory, plan.segments, known.changes, self._board.prepared.tool)
+        return followed_plan(plan.id, memory, plan.segments, known.changes, self._board.loaded.tool)
 
     def _as_built(
         self, memory: TaskMemory, followed: Followed, report: ExecutionReport
     ) -> tuple[tuple[float, ...], str]:
         """Return where the element stands if let go now, by the arm's pose at the boundary or the plan's, and which."""
-        known = self._heard.work_plan(followed.id)
+        known = self._received.work_plan(followed.id)
         if known is None or not 0 <= followed.releases < len(known.plan.segments):
             return (), ""
         if not memory.tool0_T_element or memory.state is TaskState.RETREATING:
@@ -283,37 +283,37 @@ class Follower:
 
     def settle_if_lost(self) -> None:
         """Settle a task under way that the executor does not know."""
-        memory, report = self._under_way(), self._heard.execution
+        memory, report = self._under_way(), self._received.execution
         if memory is None or report is None:
             return
         if memory.state in UNDER_WAY and report.plan_id != memory.plan:
             self.settle()
-        elif memory.state is TaskState.PLANNED and self._heard.forget_if_nobody_has(memory.plan):
+        elif memory.state is TaskState.PLANNED and self._received.forget_if_nobody_has(memory.plan):
             self.settle()
 
     def settle(self) -> None:
         """Settle a task that the executor will not report: by its record, else by asking."""
-        memory, report = self._under_way(), self._heard.execution
-        if memory is None or self._heard.unsaid:
+        memory, report = self._under_way(), self._received.execution
+        if memory is None or self._received.unsaid:
             return
         if report is not None and memory.plan and report.plan_id == memory.plan:
             return
-        fate = self._heard.fate(memory.plan, memory.offer)
+        fate = self._received.fate(memory.plan, memory.offer)
         if fate.outcome != FINISHED:
             self._add(after_restart(memory, fate, self.grip()))
             return
         # where the element was to be let go is known as long as the plan is
-        followed = self._followed(memory, self._heard.work_plan(fate.plan))
+        followed = self._followed(memory, self._received.work_plan(fate.plan))
         followed = followed or followed_unseen(fate.plan, memory, fate.outcome)
         self._write(memory, followed, ExecutionReport("", "", fate.plan, fate.outcome))
 
     def settle_offer(self, task: str, offer: str) -> None:
         """Settle a task whose plan the planner may have published without an answer."""
-        self._add(after_restart(self._board.book.tasks[task], self._heard.fate("", offer), self.grip()))
+        self._add(after_restart(self._board.states.tasks[task], self._received.fate("", offer), self.grip()))
 
     def _drop_if_turned_down(self) -> None:
         memory = self._under_way()
-        said = self._heard.verdict(memory.plan) if memory is not None else None
+        said = self._received.verdict(memory.plan) if memory is not None else None
         if memory is not None and memory.state is TaskState.PLANNED and said is not None and not said.approved:
             who, why = said.reviewer, said.reason
             self._board.add(Entry("dropped", memory.task, plan=memory.plan, reason=f"{who}: {why}"))

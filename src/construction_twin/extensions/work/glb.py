@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from construction_twin.extensions.work.prepared import ElementFacts
+from construction_twin.extensions.work.loaded_model import ElementFacts
 from construction_twin.robot.frames import rotation_to_quaternion
 
 _MAGIC, _JSON, _BINARY = b"glTF", b"JSON", b"BIN\0"

@@ -50,7 +50,7 @@ class Present:
 
 
 @dataclass(frozen=True, eq=False)
-class Book:
+class TaskStates:
     """The state of every task after some events; made by `fold`.
 
     Attributes:
@@ -69,8 +69,8 @@ class Book:
     robot: str = ""
     found: frozenset[str] = frozenset()
 
-    def then(self, entry: Entry) -> Book:
-        """Return the book after one more event.
+    def then(self, entry: Entry) -> TaskStates:
+        """Return the states after one more event.
 
         Raises:
             NotNow: If it does not fit.
@@ -201,9 +201,9 @@ def placed_elsewhere(event: str, task: str, memory: TaskMemory, reason: str = ""
     )  # fmt: skip
 
 
-def fold(after: Mapping[str, tuple[str, ...]]) -> Book:
+def fold(after: Mapping[str, tuple[str, ...]]) -> TaskStates:
     """Return the states before any event."""
-    return Book(dict(after), _settled(after, {task: TaskMemory(task) for task in after}))
+    return TaskStates(dict(after), _settled(after, {task: TaskMemory(task) for task in after}))
 
 
 def _missing(after: Mapping[str, tuple[str, ...]], tasks: Mapping[str, TaskMemory], task: str) -> tuple[str, ...]:
@@ -221,7 +221,7 @@ def _settled(after: Mapping[str, tuple[str, ...]], tasks: Mapping[str, TaskMemor
 
 
 class Ledger:
-    """The file and its book; for one thread. `clock`: Returns the time since 1970 [ns]; other arguments as of `Book`."""
+    """The file and the states of its tasks. `clock`: Returns the time since 1970 [ns]; other arguments as of `TaskStates`."""
 
     def __init__(
         self,
@@ -240,17 +240,17 @@ class Ledger:
         self._clock = clock
         self._file = AppendOnlyFile(self.path, LedgerError, "work node")
         try:
-            self.book = replay(self.path, after)
+            self.states = replay(self.path, after)
             if self._file.lines == 0:
                 self.add(Entry(OPENED, model=model, cell=cell, robot=robot))
             if self._file.mended:
                 self.add(Entry(MENDED, reason=f"{self._file.mended} bytes of a line without its end were cut off"))
-            for entry in self.book.handed_over(present):
+            for entry in self.states.handed_over(present):
                 self.add(entry)
-            for entry in self.book.doubts(model, placing, standing, present):
+            for entry in self.states.doubts(model, placing, standing, present):
                 self.add(entry)
             # last: killed before it, the next start asks again
-            if (self.book.model, self.book.cell) != (model, cell):
+            if (self.states.model, self.states.cell) != (model, cell):
                 self.add(Entry(CHANGED, model=model, cell=cell))
         except ConstructionTwinError:
             self._file.close()
@@ -268,9 +268,9 @@ class Ledger:
             NotNow, LedgerError: Nothing is written.
         """
         now = self._clock()
-        book = self.book.then(replace(entry, time_ns=now))
+        states = self.states.then(replace(entry, time_ns=now))
         self._file.append(now, entry.fields())
-        self.book = book
+        self.states = states
 
     def close(self) -> None:
         """Close the file."""
@@ -336,17 +336,17 @@ def _mesh_name(item: SceneObject) -> str:
     return f"{item.mesh_digest}{Path(item.mesh).suffix}" if item.mesh else ""
 
 
-def replay(path: Path, after: Mapping[str, tuple[str, ...]]) -> Book:
-    """Return the book after the lines of a ledger."""
-    book = fold(after)
+def replay(path: Path, after: Mapping[str, tuple[str, ...]]) -> TaskStates:
+    """Return the states after the lines of a ledger."""
+    states = fold(after)
     for number, entry in enumerate(read_entries(path), start=1):
         if number == 1 and entry.event != OPENED:
             raise LedgerError(str(path), f"line 1 is {entry.event!r}; expected {OPENED!r}: this is no ledger")
         try:
-            book = book.then(entry)
+            states = states.then(entry)
         except NotNow as error:
             raise LedgerError(str(path), f"line {number}: {str(error)}") from error
-    return book
+    return states
 
 
 def read_entries(path: Path) -> Iterator[Entry]:

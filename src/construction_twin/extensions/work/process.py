@@ -101,27 +101,23 @@ class Recipe(Strict):
     penetration: Annotated[float, pydantic.Field(ge=0.0, le=0.02)] = 0.0005
 
 
+def listed(value: Value) -> Any:
+    """Return a text as numbers, or as words when one is none; any other value as it is."""
+    if not isinstance(value, str):
+        return value
+    try:
+        return tuple(map(float, value.split()))
+    except ValueError:
+        return tuple(value.split())
+
+
 @dataclass(frozen=True)
 class Override:
     """A property in the model that replaces a key of the recipe."""
 
     key: tuple[str, ...]
     ifc_type: str
-    read: Callable[[Value], Any] = lambda value: value
-
-
-def words(value: Value) -> tuple[str, ...]:
-    """Return a text as words."""
-    return tuple(str(value).split())
-
-
-def numbers(value: Value) -> tuple[float, ...] | tuple[str, ...]:
-    """Return a text as numbers; as words when one is none, for the recipe to refuse."""
-    found = str(value).split()
-    try:
-        return tuple(map(float, found))
-    except ValueError:
-        return tuple(found)
+    read: Callable[[Value], Any] = listed
 
 
 #: What every process lets the model override.

@@ -19,10 +19,10 @@ from construction_twin.extensions.work import decisions, engaged_scene
 from construction_twin.extensions.work.built import Appearance, Deviation, change, pose_tuple
 from construction_twin.extensions.work.errors import WorkError
 from construction_twin.extensions.work.following import Follower
-from construction_twin.extensions.work.heard import Heard
 from construction_twin.extensions.work.ledger import Ledger
-from construction_twin.extensions.work.prepared import Prepared
+from construction_twin.extensions.work.loaded_model import LoadedModel
 from construction_twin.extensions.work.process import DEFAULT, TaskMotions
+from construction_twin.extensions.work.received import Received
 from construction_twin.extensions.work.task_board import TaskBoard, WorkRefused
 from construction_twin.extensions.work.task_memory import UNDER_WAY, Entry, TaskState
 from construction_twin.kinematics.chain import Chain, Pose
@@ -30,7 +30,7 @@ from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import RobotModel
 from construction_twin.scene.scene_change import SceneChange
 
-#: Longest time until a change or a plan is heard [s].
+#: Longest time until a change or a plan is received [s].
 SCENE_TIME = 2.0
 
 
@@ -79,25 +79,25 @@ class WorkSession:
 
     def __init__(
         self,
-        prepared: Prepared,
+        loaded: LoadedModel,
         folder: Path,
         robot: RobotModel,
-        heard: Heard,
+        received: Received,
         calls: Neighbours,
         clock: Callable[[], int],
     ):
         ledger = Ledger(
-            folder / f"{robot.name}_{Path(prepared.cell).stem}.jsonl", prepared.after, prepared.digest, clock,
-            str(Path(prepared.cell).resolve()), prepared.schedule.placing, prepared.standing_elements, robot.name,
-            prepared.present,
+            folder / f"{robot.name}_{Path(loaded.cell).stem}.jsonl", loaded.after, loaded.digest, clock,
+            str(Path(loaded.cell).resolve()), loaded.schedule.placing, loaded.standing_elements, robot.name,
+            loaded.present,
         )  # fmt: skip
-        self.board = TaskBoard(prepared, ledger, robot.name, robot.tip_link)
-        self._heard, self._calls, self._clock = heard, calls, clock
+        self.board = TaskBoard(loaded, ledger, robot.name, robot.tip_link)
+        self._received, self._calls, self._clock = received, calls, clock
         decisions.look_around(self.board)
-        opened = f"{prepared.model}: {len(prepared.schedule.jobs)} tasks, {ledger.lines} lines in {ledger.path}"
+        opened = f"{loaded.model}: {len(loaded.schedule.jobs)} tasks, {ledger.lines} lines in {ledger.path}"
         for said in (opened, *self.board.notes):
             calls.log(said)
-        self._follower = Follower(self.board, heard, Chain(robot), calls.arm_pose, calls.refuse, calls.log)
+        self._follower = Follower(self.board, received, Chain(robot), calls.arm_pose, calls.refuse, calls.log)
         self.lock = threading.RLock()
         self._planning = threading.Lock()
         #: Why an engaged arm has no scene to go back in, and what that was found of.
@@ -106,34 +106,34 @@ class WorkSession:
 
     def recall(self, listen_time: float) -> None:
         """Find out what became of a plan that is offered or under way in the ledger; listens so long [s]."""
-        heard = self._heard
+        received = self._received
         # nothing is tidied before it is known whether the arm was left engaged
-        heard.wait_for(lambda: heard.execution is not None and not heard.unsaid, min(1.0, listen_time))
-        if not self.board.book.busy:
+        received.wait_for(lambda: received.execution is not None and not received.unsaid, min(1.0, listen_time))
+        if not self.board.states.busy:
             return
         # latched messages come within a moment of the connection; the executor may only now be starting
-        heard.wait_for(lambda: heard.execution is not None and heard.tool_said, listen_time)
-        heard.wait_for(lambda: heard.plan is not None and not heard.unsaid, min(1.0, listen_time))
+        received.wait_for(lambda: received.execution is not None and received.tool_said, listen_time)
+        received.wait_for(lambda: received.plan is not None and not received.unsaid, min(1.0, listen_time))
         with self.lock:
-            self._follower.follow(heard.execution)
+            self._follower.follow(received.execution)
             self._follower.settle()
 
     def catch_up(self) -> None:
-        """Act on what was heard. For one thread."""
+        """Act on what was received. For one thread."""
         # one report for both: the scene may change only after what was written of it
-        heard, report = self._heard, self._heard.execution
+        received, report = self._received, self._received.execution
         with self.lock:
             self._follower.catch_up(report)
-            idle = not self.board.book.busy
+            idle = not self.board.states.busy
         self._change_as_planned(report)
-        engaged = heard.engaged
+        engaged = received.engaged
         if not engaged:
             self._blocked, self._blocked_in = "", None
-        if (idle or engaged) and not heard.playing and self._planning.acquire(blocking=False):
+        if (idle or engaged) and not received.playing and self._planning.acquire(blocking=False):
             try:
                 if engaged:
                     self._make_for_way_back()
-                elif heard.executor_said:
+                elif received.executor_said:
                     self._tidy()
             finally:
                 self._planning.release()
@@ -142,18 +142,18 @@ class WorkSession:
 
     def _change_as_planned(self, report: ExecutionReport | None) -> None:
         """Change the scene as planned when the executor waits for it; its report has been followed."""
-        known, scene, book = self._heard.plan, self._heard.scene, self.board.book
+        known, scene, states = self._received.plan, self._received.scene, self.board.states
         if report is None or known is None or scene is None:
             return
         plan = known.plan
         if not report.wants_scene or report.plan_id != plan.id or not 0 <= report.segment < len(plan.segments):
             return
         segment = plan.segments[report.segment]
-        if book.busy and book.tasks[book.busy].plan == plan.id and scene.hash != segment.scene_after:
+        if states.busy and states.tasks[states.busy].plan == plan.id and scene.hash != segment.scene_after:
             self._edit(segment.scene, known.changes[report.segment], segment.scene_after)
 
     def _tidy(self) -> None:
-        scene = self._heard.scene
+        scene = self._received.scene
         if scene is None:
             return
         with self.lock:
@@ -163,33 +163,33 @@ class WorkSession:
 
     def _make_for_way_back(self) -> str:
         """Make the scene one in which an engaged arm can go back, after the ledger's line; return why not."""
-        heard, left, board = self._heard, self._heard.left, self.board
+        received, left, board = self._received, self._received.left, self.board
         if left is None:
             return Sentence(
                 "the executor has not said yet where the arm was left engaged; its log says whether the disk takes it"
             )
         with self.lock:
-            scene = heard.scene
+            scene = received.scene
             if scene is None:
                 return "the scene is not known; see why the scene node is down"
             if scene.hash in left.scenes:
                 self._blocked, self._blocked_in = "", None
                 return ""
-            if heard.playing:
+            if received.playing:
                 return Sentence("a plan is under way, and the scene is not the one for the way back; wait for its end")
-            self._follower.follow(heard.execution)
+            self._follower.follow(received.execution)
             self._follower.settle_if_lost()
-            memory = board.book.tasks.get(left.task)
+            memory = board.states.tasks.get(left.task)
             if memory is not None and memory.plan == left.plan_id and memory.state in UNDER_WAY:
                 return Sentence("{task}: how its plan ended is not written yet; ask again", task=board.title(left.task))
-            known = heard.work_plan(left.plan_id)
+            known = received.work_plan(left.plan_id)
             segments, changes = (known.plan.segments, known.changes) if known is not None else ((), ())
             about = (left.plan_id, left.scenes, scene.hash, bool(segments), memory.state if memory else None)
             if about == self._blocked_in:
                 return self._blocked
             element = board.element_of(left.task) if memory is not None else ""
             forms = board.built.forms(left.task) if memory is not None else ()
-            found = engaged_scene.due(left, scene, segments, changes, heard.scenes(), element, forms)
+            found = engaged_scene.due(left, scene, segments, changes, received.scenes(), element, forms)
         if isinstance(found, str):
             self._blocked, self._blocked_in = found, about
             self._calls.refuse("engagement", found)
@@ -199,14 +199,14 @@ class WorkSession:
         return self._blocked
 
     def _edit(self, before: str, wanted: SceneChange, after: str = "") -> str:
-        """Have the scene changed and wait until it is heard; return why not."""
-        heard = self._heard
+        """Have the scene changed and wait until it is received; return why not."""
+        received = self._received
         try:
             made = self._calls.edit_scene(before, wanted, after)
         except ConstructionTwinError as error:
             self._calls.refuse("edit_scene", str(error))
             return str(error)
-        if not heard.wait_for(lambda: heard.scene is not None and heard.scene.hash == made, SCENE_TIME):
+        if not received.wait_for(lambda: received.scene is not None and received.scene.hash == made, SCENE_TIME):
             return "the scene was changed, but is not published"
         return ""
 
@@ -221,18 +221,18 @@ class WorkSession:
         """
         if not self._planning.acquire(timeout=patience):
             raise WorkRefused("a task is being planned already; wait for it")
-        heard = self._heard
+        received = self._received
         try:
             with self.lock:
                 problem = self.board.left_closed(self._follower.grip().commanded)
             if problem:
                 raise WorkRefused(problem)
-            if heard.engaged:
-                heard.wait_for(lambda: not heard.unsaid, SCENE_TIME)
-            return self._plan_way_back(asked) if heard.engaged else self._plan_task(asked)
+            if received.engaged:
+                received.wait_for(lambda: not received.unsaid, SCENE_TIME)
+            return self._plan_way_back(asked) if received.engaged else self._plan_task(asked)
         finally:
             self._planning.release()
-            heard.announce()
+            received.announce()
 
     def _allowed(self, asked: str) -> str:
         now = self._clock()
@@ -249,9 +249,9 @@ class WorkSession:
         with self.lock:
             # while the scene was made right, somebody may have said something else
             self._allowed(task)
-            memory = board.book.tasks[task]
+            memory = board.states.tasks[task]
             held = memory.tool0_T_element if memory.state is TaskState.CARRIED else ()
-            scene = self._heard.scene
+            scene = self._received.scene
             if scene is None:
                 raise WorkRefused("the scene is not known; see why the scene node is down")
             if change(scene, *board.built.wanted_scene()) != SceneChange():
@@ -271,7 +271,7 @@ class WorkSession:
     def _offer(self, task: str, plan: TaskMotions) -> UnderReview:
         """Put a plan under review; the ledger has it before the planner."""
         board, offer = self.board, uuid.uuid4().hex[:12]
-        title, process = board.title(task), board.prepared.schedule.job(task).process
+        title, process = board.title(task), board.loaded.schedule.job(task).process
         held = () if plan.tool0_T_element is None else pose_tuple(plan.tool0_T_element)
         named = "" if process == DEFAULT else process
         with self.lock:
@@ -280,7 +280,7 @@ class WorkSession:
         how = f"{named}, {plan.method}" if named else plan.method
 
         def unnamed() -> bool:
-            memory = board.book.tasks[task]
+            memory = board.states.tasks[task]
             return memory.state is TaskState.PLANNED and not memory.plan
 
         try:
@@ -300,17 +300,17 @@ class WorkSession:
         return replace(answer, message=sentence)
 
     def _plan_way_back(self, asked: str) -> UnderReview:
-        heard = self._heard
+        received = self._received
         problem = self._make_for_way_back()
-        before = heard.plan.plan.id if heard.plan is not None else ""
+        before = received.plan.plan.id if received.plan is not None else ""
         if problem:
             raise WorkRefused(_only_way_back(problem))
         try:
             said = self._calls.plan_way_back()
         except ConstructionTwinError as error:
             raise WorkRefused(_only_way_back(str(error))) from error
-        heard.wait_for(lambda: heard.plan is not None and heard.plan.plan.id != before, SCENE_TIME)
-        known = heard.plan
+        received.wait_for(lambda: received.plan is not None and received.plan.plan.id != before, SCENE_TIME)
+        known = received.plan
         if known is None or known.plan.id == before:
             raise WorkRefused(Sentence("the way back was planned, but is not published"))
         plan = known.plan
@@ -337,21 +337,21 @@ class WorkSession:
                 case _:
                     raise WorkRefused(f"decision {decision!r}; expected skip, redo, answer, removed or accept_schedule")
         self._calls.log(f"{sentence} ({person})")
-        self._heard.announce()
+        self._received.announce()
         return sentence
 
     def measured(self, element: str, pose: Pose, person: str, reason: str) -> Deviation:
         """Record where a person has measured an element."""
         with self.lock:
             found = decisions.measured(self.board, element, pose, person, reason)
-        self._heard.announce()
+        self._received.announce()
         return found
 
     def report(self) -> WorkReport:
         """Return the state of the work."""
         with self.lock:
             report = self.board.report(self._clock())
-        if self._heard.execution is None or not self._heard.execution.engaged:
+        if self._received.execution is None or not self._received.execution.engaged:
             return report
         return replace(report, engaged=True, reason=_only_way_back(self._blocked))
 

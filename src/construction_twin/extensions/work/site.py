@@ -12,7 +12,15 @@ import pydantic
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.validation import configuration_error
 from construction_twin.extensions.work.building import BuildingModel, Element
-from construction_twin.extensions.work.process import DELIVERED, PROPERTY_SET, Match, Recipes, Strict, read_recipes
+from construction_twin.extensions.work.process import (
+    DELIVERED,
+    PROPERTY_SET,
+    Finite,
+    Match,
+    Recipes,
+    Strict,
+    read_recipes,
+)
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_rotation
 from construction_twin.robot.tool import Place as FilePose
@@ -21,12 +29,8 @@ from construction_twin.robot.urdf import read_yaml
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_yaml import read_scene
 
-#: Poses of the file are this close to the origin [m]; in binary fractions a map's coordinates would cost accuracy.
-FARTHEST = 1e4
-_Finite = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=-FARTHEST, le=FARTHEST)]
 _Count = Annotated[int, pydantic.Field(ge=1, le=10000)]
 _Step = Annotated[float, pydantic.Field(allow_inf_nan=False, gt=0.0, le=100.0)]
-_Vector = tuple[_Finite, _Finite, _Finite]
 _RackName = Annotated[str, pydantic.Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
 
 
@@ -42,7 +46,7 @@ class LyingRack(_Rack):
 
     at: FilePose
     lies: Literal["as_built", "own_axes"] = "as_built"
-    rpy_deg: _Vector = (0.0, 0.0, 0.0)
+    rpy_deg: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
     refill: bool = False
 
 

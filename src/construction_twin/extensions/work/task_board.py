@@ -16,9 +16,9 @@ from construction_twin.extensions.work.built import (
     pose_tuple,
 )
 from construction_twin.extensions.work.errors import WorkError
-from construction_twin.extensions.work.ledger import Book, Ledger
+from construction_twin.extensions.work.ledger import Ledger, TaskStates
+from construction_twin.extensions.work.loaded_model import LoadedModel, Scheduled
 from construction_twin.extensions.work.names import labels, named
-from construction_twin.extensions.work.prepared import Prepared, Scheduled
 from construction_twin.extensions.work.task_memory import (
     ANSWERS_OF_FORMER,
     PLANNABLE,
@@ -49,79 +49,79 @@ class TaskBoard:
     `failures`: Why a task could not be planned last, by id; not on the disk.
     """
 
-    def __init__(self, prepared: Prepared, ledger: Ledger, robot: str, tip_link: str):
-        self.prepared, self.ledger, self.robot = prepared, ledger, robot
-        self.built = AsBuilt(prepared, ledger, tip_link)
+    def __init__(self, loaded: LoadedModel, ledger: Ledger, robot: str, tip_link: str):
+        self.loaded, self.ledger, self.robot = loaded, ledger, robot
+        self.built = AsBuilt(loaded, ledger, tip_link)
         self.failures: dict[str, str] = {}
 
     @property
-    def book(self) -> Book:
+    def states(self) -> TaskStates:
         """The states of the tasks."""
-        return self.ledger.book
+        return self.ledger.states
 
     def add(self, entry: Entry) -> None:
         """Write an event of a task; the first one, and each before it is handled, with what the element needs without its model."""
-        task, memory = entry.task, self.book.tasks[entry.task]
+        task, memory = entry.task, self.states.tasks[entry.task]
         handled = entry.event == TaskEvent.OFFERED.value and not memory.in_grip
-        if task in self.book.after and (handled or not memory.body) and self.built.element(task).bodies:
+        if task in self.states.after and (handled or not memory.body) and self.built.element(task).bodies:
             facts = self.built.element(task)
             body, goal = self.ledger.keep(facts.bodies), pose_tuple(facts.base_T_goal)
             entry = replace(entry, name=facts.name, ifc_class=facts.ifc_class, body=body, goal=goal)
-        if task in self.book.after and entry.event in _SEEING:
-            entry = replace(entry, seen=self.prepared.present[task].digest)
+        if task in self.states.after and entry.event in _SEEING:
+            entry = replace(entry, seen=self.loaded.present[task].digest)
         self.ledger.add(replace(entry, element=self.element_of(task)))
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What a person should know of model and schedule."""
-        return (*self.prepared.notes, *self.prepared.schedule.notes)
+        return (*self.loaded.notes, *self.loaded.schedule.notes)
 
     @property
     def schedule_word(self) -> str:
         """``model``, ``accepted`` or ``proposed``."""
-        if not self.prepared.schedule.proposed:
+        if not self.loaded.schedule.proposed:
             return FROM_MODEL
-        return FROM_PERSON if self.book.accepted == self.prepared.schedule_digest else PROPOSED
+        return FROM_PERSON if self.states.accepted == self.loaded.schedule_digest else PROPOSED
 
     def next(self, now: int) -> str:
         """Return the task that comes next; empty: none can be planned."""
-        return next((job for job in self.book.after if not self.obstacle(job, now)), "")
+        return next((job for job in self.states.after if not self.obstacle(job, now)), "")
 
     def obstacle(self, task: str, now: int) -> str:
         """Return why a task cannot be planned now; empty: it can."""
-        book = self.book
-        if task not in book.after:
+        states = self.states
+        if task not in states.after:
             return f"there is no task {task!r}; `twin work list` names them"
         if self.schedule_word == PROPOSED:
             return "the schedule is a proposal from the geometry: look at it, then accept it (`twin work accept`)"
-        if book.asking:
-            return f"{self.title(book.asking[0])} asks first: {self.question(book.asking[0])}"
-        for name, memory in book.former.items():
+        if states.asking:
+            return f"{self.title(states.asking[0])} asks first: {self.question(states.asking[0])}"
+        for name, memory in states.former.items():
             if not memory.body:
                 placed = f"{self.built.element(name).name} was placed, is not in the model any more, and its shape was not kept"
                 return f"{placed}: take it away, and say {removed_command(name)}"
-        busy = book.busy
+        busy = states.busy
         if busy:
-            what = "under review" if book.tasks[busy].state is TaskState.PLANNED else "under way"
+            what = "under review" if states.tasks[busy].state is TaskState.PLANNED else "under way"
             return f"{self.title(busy)} is {what}"
-        held = book.in_state(TaskState.CARRIED)
+        held = states.in_state(TaskState.CARRIED)
         if held and held[0] != task:
             return f"{self.built.element(held[0]).name} is in the grip: {self.title(held[0])} comes first"
-        state = book.tasks[task].state
+        state = states.tasks[task].state
         if state is TaskState.WAITING:
             return Sentence("{task} waits for {tasks}", task=self.title(task), tasks=self._missing(task))
         if state not in PLANNABLE:
             return f"{self.title(task)} is {state.value}"
-        if task in self.prepared.removals:
+        if task in self.loaded.removals:
             name, say = self.built.element(task).name, removed_command(self.typed(task))
             return f"{name} is to be taken down by people; when it is gone, a person says so: {say}"
-        robots = self.prepared.schedule.job(task).robots
+        robots = self.loaded.schedule.job(task).robots
         if robots and self.robot not in robots:
             return f"{self.title(task)} is for {' or '.join(robots)}, not for {self.robot}"
-        element = self.prepared.schedule.job(task).element
-        if element in self.prepared.unplannable:
-            return f"{self.title(task)} cannot be planned: {self.prepared.unplannable[element]}; skip it when it stands"
-        if self.prepared.stays(task):
+        element = self.loaded.schedule.job(task).element
+        if element in self.loaded.unplannable:
+            return f"{self.title(task)} cannot be planned: {self.loaded.unplannable[element]}; skip it when it stands"
+        if self.loaded.stays(task):
             return self._not_there(task) or self._lag(task, now)
         if state is TaskState.READY and element not in self.built.present():
             return f"{self.built.element(task).name} is not delivered yet: its slot in the rack is taken by another element"
@@ -129,12 +129,12 @@ class TaskBoard:
 
     def _not_there(self, task: str) -> str:
         element, name = self.element_of(task), self.built.element(task).name
-        placing = self.prepared.schedule.placing.get(element)
+        placing = self.loaded.schedule.placing.get(element)
         if element in self.built.gone():
             return f"{name} was taken down; skip {self.title(task)}"
-        if placing and not self.book.tasks[placing].placed:
+        if placing and not self.states.tasks[placing].placed:
             to_do = f"if it stands, say where (`twin work measured`), else skip {self.title(task)}, too"
-            return f"{name} does not count as placed: {self.title(placing)} is {self.book.tasks[placing].state.value}; {to_do}"
+            return f"{name} does not count as placed: {self.title(placing)} is {self.states.tasks[placing].state.value}; {to_do}"
         return ""
 
     def left_closed(self, commanded: Collection[str]) -> str:
@@ -142,11 +142,11 @@ class TaskBoard:
 
         The next approach would suck too early, and no plan opens it. `commanded`: The outputs that command it to hold.
         """
-        book = self.book
-        doubtful = book.in_state(TaskState.ASKS, TaskState.PLANNED, *UNDER_WAY)
-        if not commanded or doubtful or book.in_grip:
+        states = self.states
+        doubtful = states.in_state(TaskState.ASKS, TaskState.PLANNED, *UNDER_WAY)
+        if not commanded or doubtful or states.in_grip:
             return ""
-        names, off = ", ".join(commanded), self.prepared.tool.release.set
+        names, off = ", ".join(commanded), self.loaded.tool.release.set
         values = ", ".join(f"{name} {'on' if off[name] else 'off'}" for name in commanded if name in off)
         to_do = f"end the controller's RSI program, switch {values or names} by hand, start it anew, then ask again"
         return f"nothing counts as held, but the tool is commanded to grip ({names}): hold what may fall; {to_do}"
@@ -158,19 +158,19 @@ class TaskBoard:
     def report(self, now: int) -> WorkReport:
         """Return the state of the work; the arm is not engaged."""
         return WorkReport(
-            model=self.prepared.model,
-            model_hash=self.prepared.digest,
+            model=self.loaded.model,
+            model_hash=self.loaded.digest,
             schedule=self.schedule_word,
             engaged=False,
             next=self.next(now),
             reason=self.summary(now),
-            tasks=tuple(self._row(task, now) for task in (*self.book.after, *self.book.former)),
+            tasks=tuple(self._row(task, now) for task in (*self.states.after, *self.states.former)),
             notes=self.notes,
         )
 
     def title(self, task: str) -> str:
         """Return a task's name in sentences, with the id where others have it."""
-        return self.prepared.titles.get(task) or repr(self.built.element(task).name)
+        return self.loaded.titles.get(task) or repr(self.built.element(task).name)
 
     def typed(self, task: str) -> str:
         """Return what a person types for a task: its name, or its id where others have it."""
@@ -179,23 +179,23 @@ class TaskBoard:
 
     def called(self, sentence: str) -> str:
         """Return a sentence with names in place of ids."""
-        former = labels({each.element: each.name for each in self.book.former.values()})
-        return named(sentence, {**self.prepared.titles, **former})
+        former = labels({each.element: each.name for each in self.states.former.values()})
+        return named(sentence, {**self.loaded.titles, **former})
 
     def summary(self, now: int) -> str:
         """Return what the work waits for."""
-        book = self.book
-        if not book.tasks:
+        states = self.states
+        if not states.tasks:
             return "the model has no task for this arm"
         following = self.next(now)
         if following:
             return f"{self.title(following)} can be planned"
-        return self.obstacle(book.open[0], now) if book.open else "every task is done or skipped"
+        return self.obstacle(states.open[0], now) if states.open else "every task is done or skipped"
 
     def _row(self, task: str, now: int) -> TaskReport:
-        job, memory = self.built.job(task), self.book.tasks[task]
+        job, memory = self.built.job(task), self.states.tasks[task]
         facts, far = self.built.element(task), self.built.deviation(task)
-        scheduled = self.prepared.scheduled.get(task, Scheduled())
+        scheduled = self.loaded.scheduled.get(task, Scheduled())
         return TaskReport(
             id=task,
             name=job.name,
@@ -223,17 +223,17 @@ class TaskBoard:
     def _reason(self, task: str, now: int) -> str:
         """Return what a task waits for, and remarks on it until it is done."""
         reason = self._stands(task, now)
-        if self.book.tasks[task].state is not TaskState.DONE:
-            for remark in self.prepared.schedule.remarks.get(task, ()):
+        if self.states.tasks[task].state is not TaskState.DONE:
+            for remark in self.loaded.schedule.remarks.get(task, ()):
                 note = Sentence("Note: {remark}", remark=remark)
                 reason = Sentence("{reason}. {note}", reason=reason, note=note) if reason else note
         return reason
 
     def _stands(self, task: str, now: int) -> str:
-        memory = self.book.tasks[task]
+        memory = self.states.tasks[task]
         if memory.state is TaskState.ASKS:
             return ""
-        if task not in self.book.after:
+        if task not in self.states.after:
             return "placed, and not in the model: an obstacle until a person says that it was taken away"
         if memory.state is TaskState.WAITING:
             return f"waits for {self._missing(task)}"
@@ -247,7 +247,7 @@ class TaskBoard:
             return "taken down, as a person says"
         if memory.state is not TaskState.DONE:
             return ""
-        if self.prepared.stays(task):
+        if self.loaded.stays(task):
             return "done"
         if memory.as_planned:
             return "placed; as planned, not measured"
@@ -257,8 +257,8 @@ class TaskBoard:
 
     def question(self, task: str) -> str:
         """Return what a person is asked of a task; empty: nothing."""
-        memory = self.book.tasks[task]
-        if task in self.book.after or memory.state is not TaskState.ASKS:
+        memory = self.states.tasks[task]
+        if task in self.states.after or memory.state is not TaskState.ASKS:
             return memory.question(self.built.element(task).name)
         first = self.answers(task)[0]
         asked = Sentence(
@@ -273,23 +273,23 @@ class TaskBoard:
 
     def answers(self, task: str) -> tuple[str, ...]:
         """Return what can be answered to a task's question."""
-        memory = self.book.tasks[task]
-        if task in self.book.after or memory.state is not TaskState.ASKS:
+        memory = self.states.tasks[task]
+        if task in self.states.after or memory.state is not TaskState.ASKS:
             return memory.possible_answers()
         if not memory.placed:
             return ("taken_away",)
         return (*((SAME,) if self.built.counterpart(task) else ()), *ANSWERS_OF_FORMER)
 
     def _missing(self, task: str) -> str:
-        return ", ".join(map(self.title, self.book.missing(task)))
+        return ", ".join(map(self.title, self.states.missing(task)))
 
     def _lag(self, task: str, now: int) -> str:
-        tasks = self.book.tasks
+        tasks = self.states.tasks
         started = {name: memory.begun_ns / 1e9 for name, memory in tasks.items() if memory.begun_ns}
         finished = {name: memory.settled_ns / 1e9 for name, memory in tasks.items() if memory.state in SETTLED}
         # what was skipped has started, too
-        waits = self.prepared.schedule.waits_for(task, {**finished, **started}, finished, now / 1e9)
-        return f"{self.title(task)} waits {named(waits, self.prepared.titles)}" if waits else ""
+        waits = self.loaded.schedule.waits_for(task, {**finished, **started}, finished, now / 1e9)
+        return f"{self.title(task)} waits {named(waits, self.loaded.titles)}" if waits else ""
 
 
 #: Events by which what the model says of an element is seen by the arm, or by a person.

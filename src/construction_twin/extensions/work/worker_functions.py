@@ -20,9 +20,9 @@ from construction_twin.extensions.work.built import pose_of_tuple
 from construction_twin.extensions.work.element_bodies import box_of, element_shapes, element_triangles
 from construction_twin.extensions.work.errors import PlacementError, TaskPlanningError
 from construction_twin.extensions.work.ifc.reading import read_building
+from construction_twin.extensions.work.loaded_model import ElementFacts, LoadedModel, Scheduled
 from construction_twin.extensions.work.motions import TaskPlanner
 from construction_twin.extensions.work.names import first_few
-from construction_twin.extensions.work.prepared import ElementFacts, Prepared, Scheduled
 from construction_twin.extensions.work.process import TaskMotions, WorkJob, process_of
 from construction_twin.extensions.work.proposed_schedule import propose
 from construction_twin.extensions.work.schedule import Schedule
@@ -149,7 +149,7 @@ def prepare(
     self_collision: str,
     planner: Mapping[str, Any],
     cache: str,
-) -> Prepared:
+) -> LoadedModel:
     """Read a model, a path of an IFC file or what was read of it, and its cell; `cache`: folder for what is made of it."""
     site = read_site(cell)
     building = read_building(model, Path(cache) / "models") if isinstance(model, str) else model
@@ -200,7 +200,7 @@ def prepare(
         for job in schedule.jobs
         if (task := building.tasks.get(job.task)) is not None
     }
-    return Prepared(
+    return LoadedModel(
         model=building.file,
         digest=building.digest,
         cell=str(cell),

@@ -189,9 +189,7 @@ def asked_duration(trajectory: JointTrajectory) -> float:
 def fill_feedback(feedback, sample: Sample, plan_start: int, order: Sequence[int]) -> None:
     """Fill a control_msgs/FollowJointTrajectoryFeedback, whose joint names are set, with positions and velocities.
 
-    Args:
-        plan_start: Stamp of the plan's first setpoint [ns]; 0: it has not begun.
-        order: For each joint of the goal, its index in the robot's order.
+    `plan_start`: Stamp of the plan's first setpoint [ns]; 0: it has not begun. `order`: The goal's joints in the robot's order.
     """
     since = max(0, sample.stamp - plan_start) if plan_start else 0
     time = genpy.Duration(*divmod(since, NANOSECONDS))

@@ -34,7 +34,7 @@ from construction_twin.core.files import check_writable, write_whole
 from construction_twin.core.share import share_file
 from construction_twin.core.worker import Worker, WorkerError, rss_mb
 from construction_twin.evaluation.tables import table_console
-from construction_twin.extensions.work.prepared import WORKER, Prepared
+from construction_twin.extensions.work.loaded_model import WORKER, LoadedModel
 from construction_twin.extensions.work.site import read_site
 from construction_twin.robot.description import read_robot_files
 
@@ -57,13 +57,13 @@ def main(arguments: list[str]) -> int:
         check_writable(picture.parent)
         with tempfile.TemporaryDirectory(prefix="work_check_") as folder:
             checked = _check(options, folder, console)
-            schedule = checked.prepared.schedule
+            schedule = checked.loaded.schedule
             proposed = (
                 "This order, or a part of it, is proposed from the model's geometry, and a person must accept it."
             )
-            for note in (*([proposed] if schedule.proposed else []), *checked.prepared.notes, *schedule.notes):
+            for note in (*([proposed] if schedule.proposed else []), *checked.loaded.notes, *schedule.notes):
                 console.print(note, markup=False, soft_wrap=True)
-            write_whole(picture, cell_picture(checked.tasks, checked.prepared))
+            write_whole(picture, cell_picture(checked.tasks, checked.loaded))
     except (ConstructionTwinError, OSError) as error:
         ended = isinstance(error, WorkerError) and not error.kind
         said = "a process was ended, perhaps for want of memory; try --processes 1" if ended else spoken(error)
@@ -78,7 +78,7 @@ def main(arguments: list[str]) -> int:
 class Checked:
     """What was found, in the order of the schedule; `rss_mb`: of all processes together, what they share counted in each."""
 
-    prepared: Prepared
+    loaded: LoadedModel
     tasks: tuple[CheckedTask, ...]
     seconds: float
     rss_mb: float
@@ -111,11 +111,11 @@ def check_all(processes: int, console: Console | None = None, robot_name: str = 
     with ThreadPoolExecutor(processes) as threads:
         try:
             # the others find in the cache what the first has read
-            prepared: Prepared = workers[0].ask("prepare", **given)
+            loaded: LoadedModel = workers[0].ask("prepare", **given)
             list(threads.map(lambda worker: worker.ask("prepare", **given), workers[1:]))
             for worker in workers:
                 idle.put(worker)
-            jobs = enumerate(prepared.schedule.jobs)
+            jobs = enumerate(loaded.schedule.jobs)
             numbers = [n for n, job in jobs if not robot_name or not job.robots or robot_name in job.robots]
             futures = as_completed([threads.submit(check, number) for number in numbers])
             for future in track(
@@ -128,7 +128,7 @@ def check_all(processes: int, console: Console | None = None, robot_name: str = 
             for worker in workers:
                 worker.close()
     tasks = tuple(found[number] for number in sorted(found))
-    return Checked(prepared, tasks, time.monotonic() - began, rss_mb() + sum(memory.values()))
+    return Checked(loaded, tasks, time.monotonic() - began, rss_mb() + sum(memory.values()))
 
 
 def _check(options: argparse.Namespace, folder: str, console: Console) -> Checked:
@@ -182,18 +182,18 @@ _POSSIBLE, _NOT, _STOCK, _PATH = "#2c8a4b", "#d9541e", "#8a8f98", "#3465a4"
 _SQUARE = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 
-def cell_picture(tasks: Sequence[CheckedTask], prepared: Prepared) -> bytes:
+def cell_picture(tasks: Sequence[CheckedTask], loaded: LoadedModel) -> bytes:
     """Return a PNG of the cell from above: base, stock, places, and the tool's paths."""
     figure = Figure(figsize=(9, 7), dpi=100)
     axes = figure.add_subplot()
-    for item in read_site(prepared.cell).scene.objects:
+    for item in read_site(loaded.cell).scene.objects:
         if item.shape == "box" and max(item.size[:2]) < 8.0:
             corners = np.array([(*side, 0.0) for side in _SQUARE]) * item.size / 2.0
             seen = corners @ item.pose.rotation.T + item.pose.position
             axes.fill(seen[:, 0], seen[:, 1], facecolor="#0001", edgecolor="#0004")
             axes.annotate(item.name, (item.position[0], item.position[1]), color="#0008", ha="center")
     for task in tasks:
-        facts, slot = prepared.elements[task.element], prepared.stock.slots.get(task.element)
+        facts, slot = loaded.elements[task.element], loaded.stock.slots.get(task.element)
         if not facts.bodies:
             continue
         if slot is not None:

@@ -26,8 +26,8 @@ from construction_twin.core.reports import EngagementReport, ExecutionReport
 from construction_twin.core.worker import Worker
 from construction_twin.extensions.work.built import Appearance
 from construction_twin.extensions.work.glb import glb
-from construction_twin.extensions.work.heard import Heard, KnownPlan, Verdict
-from construction_twin.extensions.work.prepared import WORKER, Prepared
+from construction_twin.extensions.work.loaded_model import WORKER, LoadedModel
+from construction_twin.extensions.work.received import KnownPlan, Received, Verdict
 from construction_twin.extensions.work.session import Neighbours, NoAnswer, UnderReview, WorkSession
 from construction_twin.extensions.work.site import read_site
 from construction_twin.extensions.work.task_board import WorkRefused
@@ -120,7 +120,7 @@ class WorkNode:
         self._worker = Worker(WORKER)
         rospy.on_shutdown(self._worker.close)
         # what became of a plan is read in the record after a restart
-        self.heard = Heard(ports.connections, rospy.is_shutdown, robot_file(ports.parameters[RECORD], robot.name))
+        self.received = Received(ports.connections, rospy.is_shutdown, robot_file(ports.parameters[RECORD], robot.name))
         self.session: WorkSession | None = None
         #: Why there is no work, and whether there will be none any more.
         self._problem: str = "the model is being read"
@@ -137,7 +137,7 @@ class WorkNode:
     def go_on(self) -> None:
         """Wait for news, at most `retry_time`, and act on it. For one thread."""
         # without news, too: what did not work before is tried again
-        if self.heard.wait_for_news(self._settings.retry_time):
+        if self.received.wait_for_news(self._settings.retry_time):
             self._publish()
         if self.session is None:
             return
@@ -164,7 +164,7 @@ class WorkNode:
             files = extension("console.private_files").PrivateFiles(ros_home() / settings.private, robot.name)
             files.drop_building()
         began, folder = time.monotonic(), ros_home() / settings.folder
-        prepared: Prepared = self._worker.ask_first(
+        loaded: LoadedModel = self._worker.ask_first(
             "prepare",
             model=settings.model,
             cell=settings.cell,
@@ -177,7 +177,7 @@ class WorkNode:
             return
         rospy.loginfo("the model was read in %.1f s", time.monotonic() - began)
         if files is not None:
-            self._show_building(prepared, files)
+            self._show_building(loaded, files)
         neighbours = Neighbours(
             functools.partial(self._twin.pose, MAX_POSE_AGE, MAX_POSE_AGE),
             functools.partial(self._arm.pose, MAX_POSE_AGE, MAX_POSE_AGE),
@@ -188,14 +188,14 @@ class WorkNode:
             self._diagnostics.refuse,
             functools.partial(rospy.loginfo, "%s"),
         )
-        self.session = WorkSession(prepared, folder, robot, self.heard, neighbours, time.time_ns)
+        self.session = WorkSession(loaded, folder, robot, self.received, neighbours, time.time_ns)
         self.session.recall(settings.listen_time)
 
-    def _show_building(self, prepared: Prepared, files: Any) -> None:
+    def _show_building(self, loaded: LoadedModel, files: Any) -> None:
         """Write the model where a console serves it."""
-        placed = {job.element: prepared.elements[job.element] for job in prepared.schedule.jobs}
+        placed = {job.element: loaded.elements[job.element] for job in loaded.schedule.jobs}
         try:
-            files.write_building(glb(placed, prepared.digest))
+            files.write_building(glb(placed, loaded.digest))
         except ConstructionTwinError as error:
             self._diagnostics.refuse("building", str(error))
 
@@ -255,7 +255,7 @@ class WorkNode:
         except (SceneError, TrajectoryError, PayloadError) as error:
             self._diagnostics.refuse(topic, str(error))
             return
-        self.heard.take(said)
+        self.received.take(said)
 
     # -- reports
 
@@ -268,7 +268,7 @@ class WorkNode:
     def _publish(self) -> None:
         session = self.session
         if session is None:
-            engaged = self.heard.execution is not None and self.heard.execution.engaged
+            engaged = self.received.execution is not None and self.received.execution.engaged
             model, reading = Path(self._settings.model).name, not self._broken
             message = msg.WorkTasks(model=model, engaged=engaged, reading=reading, reason=self._problem)
         else:
@@ -284,7 +284,7 @@ class WorkNode:
 
     def _draw(self, session: WorkSession) -> None:
         prefix, robot = self._settings.tf_prefix, self._robot
-        triangles = {name: facts.triangles for name, facts in session.board.prepared.elements.items()}
+        triangles = {name: facts.triangles for name, facts in session.board.loaded.elements.items()}
         base, tip = tf_frame(prefix, robot.base_link), tf_frame(prefix, robot.tip_link)
         markers = work_markers(session.appearances(), triangles, base, tip)
         self._publishers["work/markers"].publish(MarkerArray(markers))
@@ -296,10 +296,10 @@ class WorkNode:
             return Report(ERROR if self._broken else WARN, self._problem)
         with session.lock:
             board = session.board
-            values: dict[str, object] = {state.value: len(board.book.in_state(state)) for state in TaskState}
+            values: dict[str, object] = {state.value: len(board.states.in_state(state)) for state in TaskState}
             values["lines of the ledger"] = board.ledger.lines
             values["notes on the model"] = len(board.notes)
-            asks = bool(board.book.in_state(TaskState.ASKS))
+            asks = bool(board.states.in_state(TaskState.ASKS))
             return Report(WARN if asks else OK, board.summary(time.time_ns()), values)
 
 

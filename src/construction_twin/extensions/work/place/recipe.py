@@ -19,8 +19,6 @@ from construction_twin.extensions.work.process import (
     Scale,
     Strict,
     WorkJob,
-    numbers,
-    words,
 )  # fmt: skip
 from construction_twin.robot.tool import Tool
 
@@ -85,18 +83,18 @@ class PlaceRecipe(Recipe):
 
 #: The properties by name. Lengths are plain IfcReal in metres whatever the file's unit is.
 OVERRIDES: Mapping[str, Override] = {
-    "Faces": Override(("grips", "faces"), "IfcLabel", words),
-    "Along": Override(("grips", "along"), "IfcLabel", numbers),
-    "Across": Override(("grips", "across"), "IfcLabel", numbers),
-    "Yaws_deg": Override(("grips", "yaws_deg"), "IfcLabel", numbers),
-    "Turns_deg": Override(("grips", "turns_deg"), "IfcLabel", numbers),
+    "Faces": Override(("grips", "faces"), "IfcLabel"),
+    "Along": Override(("grips", "along"), "IfcLabel"),
+    "Across": Override(("grips", "across"), "IfcLabel"),
+    "Yaws_deg": Override(("grips", "yaws_deg"), "IfcLabel"),
+    "Turns_deg": Override(("grips", "turns_deg"), "IfcLabel"),
     "MinCups": Override(("grips", "min_cups"), "IfcInteger"),
-    "Beside": Override(("grips", "beside"), "IfcLabel", words),
+    "Beside": Override(("grips", "beside"), "IfcLabel"),
     "Approach": Override(("stock", "approach"), "IfcReal"),
-    "Leave": Override(("stock", "leave"), "IfcLabel", words),
-    "LeaveLengths": Override(("stock", "lengths"), "IfcLabel", numbers),
-    "Arrive": Override(("place", "arrive"), "IfcLabel", words),
-    "ArriveLengths": Override(("place", "lengths"), "IfcLabel", numbers),
+    "Leave": Override(("stock", "leave"), "IfcLabel"),
+    "LeaveLengths": Override(("stock", "lengths"), "IfcLabel"),
+    "Arrive": Override(("place", "arrive"), "IfcLabel"),
+    "ArriveLengths": Override(("place", "lengths"), "IfcLabel"),
     "Retreat": Override(("place", "retreat"), "IfcReal"),
     "Fastened": Override(("place", "fastened"), "IfcBoolean"),
     **SHARED,

@@ -64,7 +64,7 @@ def grip_of(tool: Tool, outputs: Mapping[str, bool], inputs: Mapping[str, bool])
     return GripReading(True, bool(asked) or holds, asked)
 
 
-class Heard:
+class Received:
     """Keeps the newest of each, for any thread.
 
     Args:

@@ -54,7 +54,7 @@ class Scheduled:
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class LoadedModel:
     """A loaded model.
 
     Attributes:
