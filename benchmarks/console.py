@@ -6,9 +6,6 @@ from the arrival of the arm's state at the PC that says it, over broker, pipe, b
 values are applied. It is measured in one page, while the arm moves and the page draws it; the other clients are WebSocket
 subscribers that only read. All processes are on this machine, and so is one clock. `frame_ms` is how long a frame holds the page
 up: a processor draws here, in place of a graphics chip.
-
-`link_p99_ratio` compares the time from a command to the arm's answer to it, over MQTT, with 5 such clients and without, in turns.
-`broker_gone_shown_s` is the time from the end of a site's broker to the page's line that nothing is connected.
 """
 
 from __future__ import annotations
@@ -16,15 +13,12 @@ from __future__ import annotations
 import argparse
 import asyncio
 import gzip
-import json
 import multiprocessing
-import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Event
 from pathlib import Path
 
@@ -36,17 +30,17 @@ for folder in ("benchmarks", "test/support"):
     sys.path.insert(0, str(ROOT / folder))
 
 from console_page import ConsolePage, launch  # noqa: E402
-from console_site import PAGE, ConsoleSite, write_robot_files  # noqa: E402
-from link_cell import Cell, Commander, shipped_config  # noqa: E402
+from console_site import PAGE, write_robot_files  # noqa: E402
+from link_cell import PREFIX, Cell, Commander, shipped_config  # noqa: E402
 from link_world import (  # noqa: E402
     REALTIME,
     World,
-    cpu_seconds,
     end_in_order,
     environment,
     free_port,
     listens,
     wait_for,
+    write_figures,
 )
 from mqtt_packets import connect, packet, text  # noqa: E402
 from playwright.sync_api import sync_playwright  # noqa: E402
@@ -55,13 +49,9 @@ from scripted_robot import ScriptedRobot  # noqa: E402
 from construction_twin.core.realtime import request_realtime  # noqa: E402
 from construction_twin.mqtt.client import Broker  # noqa: E402
 from construction_twin.mqtt.joint_string import JointStringCodec  # noqa: E402
-from construction_twin.mqtt.messages import StateProperties  # noqa: E402
 
-#: Numbers of clients at which the latency is measured, and at which the link is.
-CLIENTS, LINK_CLIENTS = (1, 5, 20), 5
-#: How often a broker is ended and started again.
-LOSSES = 5
-PREFIX = "twin"
+#: Numbers of clients at which the latency is measured.
+CLIENTS = (1, 5, 20)
 #: Processes that begin anew: a copy of this one would have its real time and its sockets.
 SPAWN = multiprocessing.get_context("spawn")
 
@@ -109,25 +99,6 @@ class Relay(ScriptedRobot):
         self.listen("state", on_state)
 
 
-class AnswerTimes:
-    """From a command's stamp to the arm's first answer to it [ns]."""
-
-    def __init__(self):
-        self._times: list[int] = []
-        self._last = 0
-
-    def add(self, state: StateProperties) -> None:
-        """Take a state that has just come."""
-        if state.command_stamp > self._last:
-            self._last = state.command_stamp
-            self._times.append(time.monotonic_ns() - state.command_stamp)
-
-    def taken(self) -> list[int]:
-        """Return those since the last call."""
-        taken, self._times = self._times, []
-        return taken
-
-
 async def _subscribe(port: int, count: int, ready: Event, ended: Event) -> None:
     """Let clients read everything of the robot until `ended`; a client that is cut off ends all."""
     url, origin = f"ws://127.0.0.1:{port}/mqtt", f"http://127.0.0.1:{port}"
@@ -170,75 +141,33 @@ async def _subscribe(port: int, count: int, ready: Event, ended: Event) -> None:
     await asyncio.gather(*tasks, return_exceptions=True)
 
 
-def subscribe(port: int, count: int, ready: Event, ended: Event) -> None:
+def subscribe(ready: Event, ended: Event, port: int, count: int) -> None:
     """Be so many clients that read everything of the robot and draw nothing."""
     end_in_order()
     asyncio.run(_subscribe(port, count, ready, ended))
 
 
-def stream(port: int, realtime: int, calls: Connection) -> None:
-    """Arm the gateway and stream to it until told to end; answers each call with the state and the answer times since the last."""
+def stream(ready: Event, ended: Event, port: int, realtime: int) -> None:
+    """Arm the gateway and stream a motion to it until `ended`; exit code 1 if the arm does not follow then."""
     end_in_order()
     request_realtime(realtime)
-    answers = AnswerTimes()
-    config, home = shipped_config()
-    commander = Commander(port, config, home, PREFIX, answers.add)
+    commander = Commander(port, *shipped_config())
     commander.arm()
-    calls.send((commander.status, []))
-    going = True
-    while going:
+    ready.set()
+    while not ended.is_set():
         commander.stream(0.1)
-        if calls.poll():
-            going = calls.recv()
-            calls.send((commander.status, answers.taken()))
     commander.close()
-
-
-class Arm:
-    """An arm that moves: the stream to it comes from a process of its own, which nothing here can hold up.
-
-    Args:
-        port: Of the broker.
-        realtime: SCHED_FIFO priority of the stream.
-    """
-
-    def __init__(self, port: int, realtime: int):
-        self._calls, theirs = SPAWN.Pipe()
-        self._process = SPAWN.Process(target=stream, args=(port, realtime, theirs))
-        self._process.start()
-        theirs.close()
-
-    def __enter__(self) -> Arm:
-        if not self._calls.poll(60.0):
-            raise TimeoutError("the arm was not armed within 60 s")
-        self._calls.recv()
-        return self
-
-    def __exit__(self, *_) -> None:
-        if self._process.is_alive():
-            self._calls.send(False)
-            self._process.join(10.0)
-        if self._process.exitcode is None:
-            self._process.kill()
-        self._process.join()
-
-    def answers(self) -> list[int]:
-        """Return the answer times since the last call [ns]; RuntimeError if the arm does not follow: then it does not move."""
-        self._calls.send(True)
-        status, times = self._calls.recv()
-        if status["state"] != "following":
-            raise RuntimeError(f"the arm has stopped: {status['reason']}; the machine is too busy to measure")
-        return times
+    sys.exit(commander.status["state"] != "following")
 
 
 @contextmanager
-def subscribers(port: int, count: int) -> Iterator[None]:
-    """Let so many clients read in a process of their own while the block runs."""
+def beside(target: Callable[..., None], *args: object) -> Iterator[None]:
+    """Run a process of its own beside the block, which nothing here can hold up; RuntimeError if it failed."""
     ready, ended = SPAWN.Event(), SPAWN.Event()
-    process = SPAWN.Process(target=subscribe, args=(port, count, ready, ended))
+    process = SPAWN.Process(target=target, args=(ready, ended, *args))
     process.start()
     try:
-        wait_for(lambda: ready.is_set() or process.exitcode is not None, 30.0, "the subscribers")
+        wait_for(lambda: ready.is_set() or process.exitcode is not None, 60.0, target.__name__)
         yield
     finally:
         ended.set()
@@ -247,26 +176,26 @@ def subscribers(port: int, count: int) -> Iterator[None]:
             process.kill()
             process.join()
     if process.exitcode != 0:
-        raise RuntimeError(f"the subscribers ended with {process.exitcode}: the figures are not those of {count}")
+        raise RuntimeError(f"{target.__name__} ended with {process.exitcode}: the machine is too busy to measure")
 
 
 @contextmanager
-def everything(realtime: int) -> Iterator[tuple[int, int, int, Arm]]:
-    """Start broker, gateway, mock arm, console, stream; give the broker's port, the console's, its process id, and the arm."""
+def everything(realtime: int) -> Iterator[int]:
+    """Start broker, gateway, mock arm, console and stream; give the console's port."""
     with tempfile.TemporaryDirectory() as name, World(Path(name)) as world:
         world.start_broker(realtime)
         config, _ = shipped_config()
-        Cell(world, config, realtime, PREFIX)
+        Cell(world, config, realtime)
         write_robot_files(Path(name) / "private", (config.robot,))
         port = free_port()
-        console = world.start(
+        world.start(
             "console",
             [sys.executable, ROOT / "nodes/console", "--page", PAGE, "--private", Path(name) / "private", "--port", port,
              "--broker-port", world.broker_port],
         )  # fmt: skip
         wait_for(lambda: listens(port), 20.0, "the console listening")
-        with Arm(world.broker_port, realtime) as arm:
-            yield world.broker_port, port, console.pid, arm
+        with beside(stream, world.broker_port, realtime), Relay(world.broker_port):
+            yield port
 
 
 def spread(values: Sequence[float]) -> dict:
@@ -283,9 +212,9 @@ def page_bytes(page: Path) -> int:
     )
 
 
-def measure_page(port: int, console: int, robot: str, seconds: float, arm: Arm) -> dict:
-    """Return the figures of page and pipe: first picture, latency by number of clients, frame time, processor time."""
-    found: dict = {"latency_ms": {}, "pipe_cpu": {}, "frames_per_s": {}, "frame_ms": {}}
+def measure_page(port: int, robot: str, seconds: float) -> dict:
+    """Return the figures of the page: first picture, latency by number of clients, frame time."""
+    found: dict = {"latency_ms": {}, "frame_ms": {}}
     with sync_playwright() as playwright:
         browser = launch(playwright)
         page = ConsolePage(browser, f"http://127.0.0.1:{port}/", picture=True)
@@ -295,111 +224,32 @@ def measure_page(port: int, console: int, robot: str, seconds: float, arm: Arm) 
         page.wait_drawn(robot, "document.querySelector('canvas').frames > 0", 60_000)
         found["first_picture_s"] = round(time.monotonic() - begin, 2)
         for clients in CLIENTS:
-            with subscribers(port, clients - 1):
+            with beside(subscribe, port, clients - 1):
                 page.page.evaluate("() => { window.applied.length = 0; window.frameTimes.length = 0 }")
-                used, begin = cpu_seconds(console), time.monotonic()
                 page.page.wait_for_timeout(1000 * seconds)
-                passed = time.monotonic() - begin
-                used = (cpu_seconds(console) - used) / passed
                 latencies = [1000 * (applied - stamp) for stamp, applied in page.page.evaluate("window.applied")]
                 frames = page.page.evaluate("window.frameTimes")
-            # it has moved all the time
-            arm.answers()
-            name = str(clients)
-            found["latency_ms"][name] = spread(latencies) | {"views": len(latencies)}
-            found["pipe_cpu"][name] = round(used, 4)
-            found["frames_per_s"][name] = round(len(frames) / passed, 1)
-            found["frame_ms"][name] = spread(frames)
-            print(
-                f"[console] {clients} clients: {found['latency_ms'][name]}, frames: {found['frame_ms'][name]}",
-                flush=True,
-            )
-        # what one more client costs: the page is one of them in each
-        few, many = CLIENTS[0], CLIENTS[-1]
-        found["pipe_cpu_per_client"] = round(
-            (found["pipe_cpu"][str(many)] - found["pipe_cpu"][str(few)]) / (many - few), 4
-        )
+            found["latency_ms"][str(clients)] = spread(latencies) | {"views": len(latencies)}
+            found["frame_ms"][str(clients)] = spread(frames)
+            print(f"[console] {clients} clients: measured", flush=True)
         browser.close()
     return found
 
 
-def measure_loss(times: int) -> dict:
-    """Return how long it takes until a page of a site with accounts shows that the broker is gone, and that it is back [s]."""
-    gone, back = [], []
-    with tempfile.TemporaryDirectory() as name, sync_playwright() as playwright:
-        site = ConsoleSite(Path(name))
-        try:
-            site.start()
-            with site.robot():
-                browser = launch(playwright)
-                page = ConsolePage(browser, site.url, picture=True).open()
-                page.login("ada", site.password("ada"))
-                page.wait_drawn("one")
-                for _ in range(times):
-                    begin = time.monotonic()
-                    site.site.stop()
-                    page.lost.wait_for(state="visible")
-                    gone.append(round(time.monotonic() - begin, 3))
-                    site.site.start()
-                    begin = time.monotonic()
-                    page.lost.wait_for(state="hidden")
-                    back.append(round(time.monotonic() - begin, 3))
-                browser.close()
-        finally:
-            site.stop()
-    return {"broker_gone_shown_s": gone, "broker_back_shown_s": back}
-
-
-def measure_link(arm: Arm, port: int, rounds: int, seconds: float) -> dict:
-    """Return the arm's answer times with clients and without, in turns, and their ratio."""
-    taken: dict[bool, list[float]] = {False: [], True: []}
-    for number in range(rounds):
-        for with_clients in (False, True) if number % 2 == 0 else (True, False):
-            with subscribers(port, LINK_CLIENTS if with_clients else 0):
-                # what starting them has cost is not counted
-                time.sleep(1.0)
-                arm.answers()
-                time.sleep(seconds)
-                taken[with_clients].append(float(np.percentile(arm.answers(), 99)) / 1e6)
-            print(
-                f"[console] link {'with' if with_clients else 'without'} clients: {taken[with_clients][-1]:.2f} ms",
-                flush=True,
-            )
-    middle = {with_clients: statistics.median(values) for with_clients, values in taken.items()}
-    return {
-        "link_p99_ratio": round(middle[True] / middle[False], 3),
-        "link_p99_ms": {"without": [round(value, 3) for value in taken[False]], "with": [round(value, 3) for value in taken[True]]},
-    }  # fmt: skip
-
-
-def read_options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """Return the command line's options."""
+def main() -> None:
+    """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     option = parser.add_argument
     option("--output", type=Path, default=ROOT / "results/bench/console.json", help="file of the figures [%(default)s]")
     option("--seconds", type=float, default=30.0, help="per number of clients [%(default)s]")
-    option("--rounds", type=int, default=5, help="of the link, with and without clients [%(default)s]")
-    option("--link-seconds", type=float, default=20.0, help="per round and turn [%(default)s]")
     option("--realtime", type=int, default=REALTIME, help="SCHED_FIFO priority where permitted; 0: none [%(default)s]")
-    return parser.parse_args(arguments)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, print, write; return the exit code."""
-    options = read_options(arguments)
+    options = parser.parse_args()
     end_in_order()
-    result: dict = {"bytes_gzip": page_bytes(PAGE)}
-    before = environment()
-    with everything(options.realtime) as (broker_port, port, console, arm), Relay(broker_port):
-        result |= measure_page(port, console, shipped_config()[0].robot, options.seconds, arm)
-        result |= measure_link(arm, port, options.rounds, options.link_seconds)
-    result |= measure_loss(LOSSES)
-    result["environment"] = before | {"load_after": environment()["load"]}
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    options.output.write_text(json.dumps(result, indent=2) + "\n")
-    print(json.dumps(result, indent=2))
-    return 0
+    result: dict = {"bytes_gzip": page_bytes(PAGE), "environment": environment()}
+    with everything(options.realtime) as port:
+        result |= measure_page(port, shipped_config()[0].robot, options.seconds)
+    write_figures(options.output, result)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -8,26 +8,20 @@ import select
 import socket
 import sys
 import time
-from collections.abc import Callable
 
 import yaml
 from link_mqtt import MqttEnd, publish_packet, read_publish
-from link_world import REALTIME, ROBOT_YAML, ROOT, XACRO, World, free_port
+from link_world import ROBOT_YAML, ROOT, XACRO, World, free_port
 
 from construction_twin.core.histogram import percentile
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import (
-    CommandProperties,
-    Control,
-    StateProperties,
-    Topics,
-    arm_value,
-    read_state_properties,
-)
+from construction_twin.mqtt.messages import CommandProperties, Control, Topics, arm_value
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.shared.gateway_config import gateway_config
+
+PREFIX = "twin"
 
 
 def gateway_settings() -> dict:
@@ -55,54 +49,28 @@ class Cell:
         realtime: SCHED_FIFO priority of the 250 Hz path; these two get 10 more, as in launch/bringup.launch.
     """
 
-    def __init__(self, world: World, config: GatewayConfig, realtime: int = REALTIME, prefix: str = "twin"):
-        name = config.robot
-        path = world.folder / f"{name}.json"
+    def __init__(self, world: World, config: GatewayConfig, realtime: int):
+        path = world.folder / "gateway.json"
         path.write_text(config.to_json())
         listen = f"127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
-        priority = realtime and realtime + 10
-        package = [sys.executable, "-m"]
-        options = [
-            "--config",
-            path,
-            "--listen",
-            listen,
-            "--broker",
-            f"127.0.0.1:{world.broker_port}",
-            "--prefix",
-            prefix,
-        ]
-        self.gateway = world.start(
-            f"{name}-gateway", [*package, "construction_twin.gateway", *options, "--realtime", priority]
-        )
-        options = ["--gateway", listen, "--restart-after", 1.0, "--realtime", priority]
-        self.mock = world.start(f"{name}-mock", [*package, "construction_twin.mock", *options])
-
-    @property
-    def pids(self) -> tuple[int, int]:
-        """Process numbers of gateway and mock."""
-        return self.gateway.pid, self.mock.pid
+        broker, priority = f"127.0.0.1:{world.broker_port}", realtime and realtime + 10
+        options: dict[str, dict[str, object]] = {
+            "gateway": {"--config": path, "--listen": listen, "--broker": broker, "--prefix": PREFIX},
+            "mock": {"--gateway": listen, "--restart-after": 1.0},
+        }
+        for program, given in options.items():
+            words = [word for option in (given | {"--realtime": priority}).items() for word in option]
+            world.start(program, [sys.executable, "-m", f"construction_twin.{program}", *words])
 
 
 class Commander:
-    """Arms one gateway over MQTT and streams a motion to it: what the bridge sends, without ROS.
+    """Arms one gateway over MQTT and streams a motion to it: what the bridge sends, without ROS."""
 
-    `on_state`, if given, is called with the properties of each state.
-    """
-
-    def __init__(
-        self,
-        port: int,
-        config: GatewayConfig,
-        home: tuple[float, ...],
-        prefix: str = "twin",
-        on_state: Callable[[StateProperties], None] | None = None,
-    ):
-        self._topics = Topics(prefix, config.robot)
+    def __init__(self, port: int, config: GatewayConfig, home: tuple[float, ...]):
+        self._topics = Topics(PREFIX, config.robot)
         self._config, self._home = config, home
         self._codec = JointStringCodec(len(home), config.decimals)
-        self._on_state = on_state
-        self._end = MqttEnd(port, "link-commander", [self._topics.status, self._topics.state])
+        self._end = MqttEnd(port, "link-commander", [self._topics.status])
         self.status: dict = {}
         self.cycle = 0
         self._due = 0
@@ -152,12 +120,7 @@ class Commander:
     def _listen(self, seconds: float) -> None:
         if select.select([self._end.socket], [], [], seconds)[0]:
             for body in self._end.receive():
-                topic, payload, pairs = read_publish(body)
-                if topic == self._topics.state:
-                    if self._on_state is not None:
-                        self._on_state(read_state_properties(pairs))
-                else:
-                    self.status = json.loads(payload)
+                self.status = json.loads(read_publish(body)[1])
 
 
 def reply_spread(before: dict, after: dict) -> dict:

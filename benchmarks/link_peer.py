@@ -7,69 +7,33 @@ from __future__ import annotations
 
 import json
 import select
-import struct
 import time
 from dataclasses import dataclass, field
-from io import BytesIO
 
-from construction_twin.msg import Feedback
 from link_mqtt import MqttEnd, publish_packet, read_publish
 
+from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import PROTOCOL, StateProperties, Topics, read_command_properties
 
 _PERIOD_OF_STATUS = 1.0
 
 
-class JointStrings:
-    """Messages as the system sends them: joint strings with user properties, for the bridge."""
+class FakeGateway:
+    """What the bridge has to receive to be armed and to stay armed, and states as the system sends them."""
 
-    def __init__(self, topics: Topics, pose: tuple[float, ...], decimals: int):
-        self._topic, self._seq = topics.state, 0
-        self._payload = JointStringCodec(len(pose), decimals).encode(pose)
+    def __init__(self, topics: Topics, pose: tuple[float, ...], config: GatewayConfig):
+        self._topics, self._seq = topics, 0
+        self._payload = JointStringCodec(len(pose), config.decimals).encode(pose)
+        self._status = {"state": "ready", "reason": "benchmark", "session": "", "fault": False, "mode": "normal"}
+        self._status |= {"run": "benchmark", "fault_number": 0, "protocol": PROTOCOL}
+        self._status |= {"hash": config.hash, "decimals": config.decimals, "counters": {}}
 
     def state(self, command_stamp: int) -> bytes:
         """Return the packet of a state."""
         self._seq += 1
         pairs = StateProperties(self._seq, time.monotonic_ns(), command_stamp).pairs()
-        return publish_packet(self._topic, self._payload, pairs)
-
-    def stamp(self, payload: bytes, pairs: list[tuple[str, str]]) -> int:
-        """Return when a command was sent."""
-        return read_command_properties(pairs).stamp
-
-
-class RosBytes:
-    """Messages as ROS serialises them, for the floor."""
-
-    def __init__(self, topics: Topics, names: tuple[str, ...], pose: tuple[float, ...]):
-        self._topic = topics.state
-        message = Feedback(name=list(names), position=pose)
-        message.command_stamp.secs, message.command_stamp.nsecs = 0x01020304, 0x05060708
-        buffer = BytesIO()
-        message.serialize(buffer)
-        self._bytes = bytearray(buffer.getvalue())
-        self._at = self._bytes.index(struct.pack("<II", 0x01020304, 0x05060708))
-
-    def state(self, command_stamp: int) -> bytes:
-        """Return the packet of a state."""
-        struct.pack_into("<II", self._bytes, self._at, *divmod(command_stamp, 1_000_000_000))
-        return publish_packet(self._topic, bytes(self._bytes))
-
-    def stamp(self, payload: bytes, pairs: list[tuple[str, str]]) -> int:
-        """Return when a command was sent: the stamp of its header."""
-        seconds, nanoseconds = struct.unpack_from("<II", payload, 4)
-        return seconds * 1_000_000_000 + nanoseconds
-
-
-class FakeGateway:
-    """What the bridge has to receive to be armed and to stay armed."""
-
-    def __init__(self, topics: Topics, config_hash: str, decimals: int):
-        self._topics = topics
-        self._status = {"state": "ready", "reason": "benchmark", "session": "", "fault": False, "mode": "normal"}
-        self._status |= {"run": "benchmark", "fault_number": 0, "protocol": PROTOCOL}
-        self._status |= {"hash": config_hash, "decimals": decimals, "counters": {}}
+        return publish_packet(self._topics.state, self._payload, pairs)
 
     def status(self) -> bytes:
         """Return the packet of the status."""
@@ -110,8 +74,8 @@ class Heard:
 class Peer:
     """Runs tasks that come through a pipe; between them it keeps the bridge armed."""
 
-    def __init__(self, port: int, topics: Topics, messages: JointStrings | RosBytes, gateway: FakeGateway | None):
-        self._topics, self._messages, self._gateway = topics, messages, gateway
+    def __init__(self, port: int, topics: Topics, gateway: FakeGateway):
+        self._topics, self._gateway = topics, gateway
         self._end = MqttEnd(port, "link-peer", [topics.command, topics.control])
         self._status_at = 0.0
         self._task, self._heard = Task(), Heard()
@@ -148,34 +112,28 @@ class Peer:
 
     def _send(self) -> None:
         now = time.monotonic_ns()
-        self._end.publish(self._messages.state(now))
+        self._end.publish(self._gateway.state(now))
         self._heard.sent.append(now)
 
     def _receive(self) -> None:
         for body in self._end.receive():
             topic, payload, pairs = read_publish(body)
             if topic == self._topics.command:
-                stamp = self._messages.stamp(payload, pairs)
+                stamp = read_command_properties(pairs).stamp
                 if self._task.echo:
-                    self._end.publish(self._messages.state(stamp))
+                    self._end.publish(self._gateway.state(stamp))
                 self._heard.arrivals.append((stamp, time.monotonic_ns()))
-            elif self._gateway is not None:
+            else:
                 for packet in self._gateway.answer(payload):
                     self._end.publish(packet)
 
     def _report(self) -> None:
         now = time.monotonic()
-        if self._gateway is not None and now >= self._status_at:
+        if now >= self._status_at:
             self._status_at = now + _PERIOD_OF_STATUS
             self._end.publish(self._gateway.status())
 
 
-def serve(pipe, port: int, topics: Topics, subject: str, robot, config) -> None:
-    """Be the peer of one subject; the target of a process."""
-    pose = tuple(robot.home)
-    if subject == "ours":
-        messages = JointStrings(topics, pose, config.decimals)
-        gateway = FakeGateway(topics, config.hash, config.decimals)
-    else:
-        messages, gateway = RosBytes(topics, robot.joint_names, pose), None
-    Peer(port, topics, messages, gateway).run(pipe)
+def serve(pipe, port: int, topics: Topics, robot, config: GatewayConfig) -> None:
+    """Be the bridge's peer; the target of a process."""
+    Peer(port, topics, FakeGateway(topics, tuple(robot.home), config)).run(pipe)

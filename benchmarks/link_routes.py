@@ -1,9 +1,8 @@
-"""Latency of the routes through the bridge, and through the floor: the ROS side of the measurement, run once per subject and round.
+"""Latency of the routes through the bridge: the ROS side of the measurement, run once per round by `link.py`.
 
-``python benchmarks/link_routes.py --subject ours`` prints the JSON that `link.py` reads. The subject is a process of its own,
-so that its processor time is its own only; both ends stamp with the same monotonic clock. The ROS side has the name of the
-gate, the node that the bridge takes commands from; the MQTT side (`link_peer.py`) plays the gateway. A state has arrived when
-`physical/feedback` has: the gate compares by it, and it leaves the bridge after `physical/joint_states`.
+The bridge is a process of its own, with its own processor time; both ends stamp with the same monotonic clock. The ROS side has
+the name of the gate, the node that the bridge takes commands from; the MQTT side (`link_peer.py`) plays the gateway. A state has
+arrived when `physical/feedback` has: the gate compares by it, and it leaves the bridge after `physical/joint_states`.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ ROUTES = ("ros_to_mqtt", "mqtt_to_ros", "round_trip", "duplex")
 
 @dataclass
 class Outcome:
-    """One measurement: latencies of what arrived [ns], counts, and the subject's processor time [s] per 1000 messages."""
+    """One measurement: latencies of what arrived [ns], counts, and the bridge's processor time [s] per 1000 messages."""
 
     latencies: list[int]
     sent: int
@@ -81,11 +80,11 @@ class RosEnd:
 
 
 class Bench:
-    """Both ends and the subject between them.
+    """Both ends and the bridge between them.
 
     Args:
         pipe: Connection. To the peer.
-        pid: The subject's process.
+        pid: The bridge's process.
     """
 
     def __init__(self, end: RosEnd, pipe, pid: int):
@@ -168,10 +167,10 @@ def outcome(pairs: list, cpu: float) -> Outcome:
     return Outcome(latencies, sent, lost, cpu)
 
 
-def bridge_parameters(port: int, realtime: int, prefix: str = "twin") -> dict:
+def bridge_parameters(port: int, realtime: int) -> dict:
     """Return the parameters of a bridge in its robot's namespace, as launch/bringup.launch loads them."""
     bridge = yaml.safe_load((ROOT / "config" / "mqtt_bridge.yaml").read_text())
-    bridge |= {"host": "127.0.0.1", "port": port, "prefix": prefix, "account": "", "arm": "mock"}
+    bridge |= {"host": "127.0.0.1", "port": port, "prefix": "twin", "account": "", "arm": "mock"}
     return {
         "robot_description": expand_xacro(XACRO),
         "robot": yaml.safe_load(ROBOT_YAML.read_text()),
@@ -180,15 +179,8 @@ def bridge_parameters(port: int, realtime: int, prefix: str = "twin") -> dict:
     }
 
 
-def subject_command(subject: str, port: int, topics: Topics, realtime: int) -> list:
-    """Return the command that starts the bridge or the floor."""
-    if subject == "ours":
-        return [sys.executable, ROOT / "nodes/mqtt_bridge", "__name:=mqtt_bridge"]
-    return [sys.executable, ROOT / "benchmarks/link_floor.py", port, f"{topics.prefix}/{topics.robot}", realtime]
-
-
-def run(subject: str, seconds: float, rate_seconds: float, realtime: int = REALTIME) -> dict:
-    """Measure one subject; return the outcomes by route, and the highest sustained rates when `rate_seconds` is not 0."""
+def run(seconds: float, rate_seconds: float, realtime: int) -> dict:
+    """Return the outcomes by route, and the highest sustained rates when `rate_seconds` is not 0."""
     robot = read_robot_files(XACRO, ROBOT_YAML)
     topics = Topics("twin", robot.name)
     with tempfile.TemporaryDirectory() as folder, World(Path(folder)) as world:
@@ -198,18 +190,19 @@ def run(subject: str, seconds: float, rate_seconds: float, realtime: int = REALT
         config = gateway_config(robot, parameters["gateway"])
         parameters["publishers"] = {"command/joint_states": "/pca_monitor"}  # this process, outside of the namespace
         rospy.set_param(f"/{NAMESPACE}", parameters)
-        process = world.start(subject, subject_command(subject, port, topics, realtime), ROS_NAMESPACE=NAMESPACE)
+        bridge = [sys.executable, ROOT / "nodes/mqtt_bridge", "__name:=mqtt_bridge"]
+        process = world.start("bridge", bridge, ROS_NAMESPACE=NAMESPACE)
         request_realtime(realtime)  # both ends; after the master, which has no part in the path
         near, far = multiprocessing.Pipe()
         context = multiprocessing.get_context("fork")  # rospy has no thread in here yet
-        peer = context.Process(target=serve, args=(far, port, topics, subject, robot, config), daemon=True)
+        peer = context.Process(target=serve, args=(far, port, topics, robot, config), daemon=True)
         peer.start()
         far.close()  # so that waiting for the peer ends when the peer does
         bench = Bench(RosEnd(robot.joint_names, tuple(robot.home)), near, process.pid)
         try:
             bench.warm_up()
         except TimeoutError as error:
-            raise SystemExit(f"{subject}: {error}\n{world.said(subject)}") from error
+            raise SystemExit(f"{error}\n{world.last_lines('bridge')}") from error
         result = {route: asdict(bench.measure(route, round(RATE * seconds))) for route in ROUTES}
         result["max_rate_hz"] = {route: highest(bench, route, rate_seconds) for route in ROUTES[:2] if rate_seconds}
         near.send(None)
@@ -230,18 +223,15 @@ def highest(bench: Bench, route: str, seconds: float) -> float:
 
 
 def main() -> None:
-    """Measure one subject."""
-    parser = argparse.ArgumentParser(description="Routes through the bridge or the floor, at 250 Hz.")
-    parser.add_argument("--subject", choices=("ours", "floor"), default="ours")
-    parser.add_argument("--seconds", type=float, default=20.0, help="per route [%(default)s]")
-    parser.add_argument(
-        "--rate-seconds", type=float, default=0.0, help="per rate tried for the highest; 0: none [%(default)s]"
-    )
+    """Measure and write."""
+    parser = argparse.ArgumentParser(description="Routes through the bridge, at 250 Hz.")
+    parser.add_argument("--seconds", type=float, required=True, help="per route")
+    parser.add_argument("--rate-seconds", type=float, required=True, help="per rate tried for the highest; 0: none")
     parser.add_argument("--realtime", type=int, default=REALTIME, help="SCHED_FIFO priority; 0: none [%(default)s]")
     parser.add_argument("--output", type=Path, required=True, help="JSON with every latency [ns]")
     options = parser.parse_args()
     end_in_order()
-    options.output.write_text(json.dumps(run(options.subject, options.seconds, options.rate_seconds, options.realtime)))
+    options.output.write_text(json.dumps(run(options.seconds, options.rate_seconds, options.realtime)))
 
 
 if __name__ == "__main__":

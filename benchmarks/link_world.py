@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import signal
@@ -50,12 +51,6 @@ def cpu_seconds(pid: int) -> float:
     return time.clock_gettime((~pid << 3) | 2)
 
 
-def resident_mb(pid: int) -> float:
-    """Return a process's resident memory [MB]."""
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
 class World(ExitStack):
     """Processes that end with the block; their output goes to files in `folder`.
 
@@ -66,7 +61,7 @@ class World(ExitStack):
     def __init__(self, folder: Path):
         super().__init__()
         self.folder = folder
-        self.broker_port = self.broker_pid = 0
+        self.broker_port = 0
         self._processes: list[subprocess.Popen] = []
         self.environment = dict(os.environ, ROS_HOME=str(folder), ROS_LOG_DIR=str(folder / "log"))
 
@@ -88,8 +83,7 @@ class World(ExitStack):
         """Start mosquitto with the project's configuration; return its port."""
         self.broker_port = free_port()
         command = [sys.executable, ROOT / "nodes/broker", "--config", ROOT / "config/mosquitto.conf"]
-        started = self.start("mosquitto", [*command, "--port", self.broker_port, "--realtime", realtime])
-        self.broker_pid = started.pid
+        self.start("mosquitto", [*command, "--port", self.broker_port, "--realtime", realtime])
         wait_for(lambda: listens(self.broker_port), 10.0, "mosquitto listening")
         return self.broker_port
 
@@ -102,7 +96,7 @@ class World(ExitStack):
         wait_for(lambda: listens(port), 20.0, "the ROS master listening")
         return self.environment["ROS_MASTER_URI"]
 
-    def said(self, name: str) -> str:
+    def last_lines(self, name: str) -> str:
         """Return the last lines of what a program printed."""
         return "\n".join((self.folder / f"{name}.log").read_text(errors="replace").splitlines()[-5:])
 
@@ -133,6 +127,14 @@ def spread_ms(latencies: Sequence[int]) -> dict:
         return dict.fromkeys(names)
     values = np.percentile(latencies, (50, 99, 99.9, 100)) / 1e6
     return {name: round(float(value), 4) for name, value in zip(names, values)}
+
+
+def write_figures(output: Path, figures: dict) -> None:
+    """Print a benchmark's figures, and write them."""
+    text = json.dumps(figures, indent=2)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    output.write_text(text + "\n")
+    print(f"{text}\nwritten to {output}")
 
 
 def environment(packages: Sequence[str] = ()) -> dict:

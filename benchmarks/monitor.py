@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
 import sys
 import time
 from pathlib import Path
@@ -26,6 +25,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "test/support"))
 
 from chain_samples import ROBOT, make_plan, play_to_the_end  # noqa: E402
+from link_world import write_figures  # noqa: E402
 from servo_chain import (  # noqa: E402
     NAMES,
     ForeignPlant,
@@ -60,7 +60,7 @@ def identify_arm(arm: Servo | None = None) -> tuple[ServoModel, dict]:
     for goal in itertools.islice(poses(1), IDENTIFIED):
         play_to_the_end(chain, make_plan(chain, goal))
     found = identified(chain)
-    return model_of(found), {joint.name: rounded(joint.residual_rms) for joint in found.joints}
+    return model_of(found), {joint.name: rounded(joint.residual_rms) for joint in found}
 
 
 def stalls(model: ServoModel | None) -> dict[str, int | None]:
@@ -159,11 +159,7 @@ def main() -> None:
         "other_arm": other_arm(min(OTHER_TIME, options.hour)),
         "without_model": {"stall_samples": stalls(None), "slip_deg": smallest_slip(None)},
     }
-    for name, value in figures.items():
-        print(f"{name:<20} {json.dumps(value)}")
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    options.output.write_text(json.dumps(figures, indent=2) + "\n")
-    print(f"written to {options.output}")
+    write_figures(options.output, figures)
 
 
 if __name__ == "__main__":

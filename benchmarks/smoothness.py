@@ -1,7 +1,7 @@
 """How smooth the gateway's corrections are: RMS acceleration and jerk over those of the planned trajectory.
 
 Run by `link.py` (``--parts smoothness``). The gateway of `construction_twin.gateway.gateway` on a simulated clock, with simulated
-arrivals of commands, beside a naive gateway that forwards the newest command it has. Nothing here depends on the machine's speed.
+arrivals of commands: the figures do not depend on the machine.
 
 A profile is a link: when does a command that was sent at t arrive? MQTT runs over TCP, so a command never overtakes another. The
 links are disturbed from the start: each runs for `WARM_UP` at rest before the motion, while the executor repeats the twin's pose.
@@ -12,10 +12,10 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import yaml
+from link_world import ROBOT_YAML, ROOT, XACRO
 
 from construction_twin.controller.telegram import Telegram
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS, radians
@@ -27,7 +27,6 @@ from construction_twin.planning.timing import time_path
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.ros.shared.gateway_config import gateway_config
 
-ROOT = Path(__file__).resolve().parents[1]
 #: Time at rest before the motion: two of the long stalls [s].
 WARM_UP = 12.0
 #: Fraction of the limits that the trajectory uses.
@@ -96,36 +95,12 @@ PROFILES = {
 }
 
 
-def read_robot() -> RobotModel:
-    """Return this package's robot."""
-    return read_robot_files(ROOT / "urdf" / "kr120r2500.urdf.xacro", ROOT / "config" / "kr120.yaml")
-
-
-def make_config(robot: RobotModel, **changes) -> GatewayConfig:
-    """Return the shipped gateway configuration with 6 decimals and `changes`."""
-    settings = yaml.safe_load((ROOT / "config" / "gateway.yaml").read_text())
-    return gateway_config(robot, settings | {"decimals": 6} | changes)
-
-
 def planned_motion(robot: RobotModel) -> np.ndarray:
     """Return the motion on the 4 ms grid, at rest for `WARM_UP` before and for 2 s after; shape (m, n), rad."""
     path = np.array([robot.home, *map(radians, POSES), robot.home])
     motion = time_path(path, robot, speed_scale=LIMIT_FRACTION)
     times = np.arange(-WARM_UP, motion.duration + 2.0, CYCLE)
     return motion.sample_many(np.clip(times, 0.0, motion.duration))[0]
-
-
-@dataclass(frozen=True)
-class Played:
-    """What a gateway made of a motion.
-
-    Attributes:
-        positions: Shape (k, n). What it sent, one row per controller cycle [rad].
-        status: Its status at the end; {} of the naive one.
-    """
-
-    positions: np.ndarray
-    status: dict
 
 
 class Rig:
@@ -172,8 +147,8 @@ class Rig:
         self.gateway.on_control(Control(str(self._controls), self.session, verb, value), self._now)
 
 
-def play(motion: np.ndarray, config: GatewayConfig, profile: Profile, seed: int = 1) -> Played:
-    """Send `motion` through the gateway over a link.
+def play(motion: np.ndarray, config: GatewayConfig, profile: Profile, seed: int = 1) -> np.ndarray:
+    """Send `motion` through the gateway over a link; return what it sent, one row per controller cycle, shape (k, n) [rad].
 
     Args:
         motion: Shape (m, n). One setpoint per 4 ms [rad].
@@ -192,27 +167,11 @@ def play(motion: np.ndarray, config: GatewayConfig, profile: Profile, seed: int 
         while waiting < len(queue) and queue[waiting][0] <= now:
             at, k = queue[waiting]
             waiting += 1
-            properties = CommandProperties(sessions[k], k + 1, SENDER_EPOCH + int(sent[k]))
-            rig.gateway.on_command(poses[k], properties if config.properties else None, at)
+            rig.gateway.on_command(poses[k], CommandProperties(sessions[k], k + 1, SENDER_EPOCH + int(sent[k])), at)
         rig.cycle(now)
         if cycle < round(WARM_UP / CYCLE) - 250:
             rig.rearm()
-    return Played(np.array(rig.positions), rig.gateway.status())
-
-
-def play_naively(motion: np.ndarray, decimals: int, profile: Profile, seed: int = 1) -> Played:
-    """Send `motion` over a link to a gateway that answers with the newest command; parameters as for `play`."""
-    codec = JointStringCodec(motion.shape[1], decimals)
-    sent = np.arange(len(motion), dtype=np.int64) * CYCLE_NS - round(WARM_UP * NANOSECONDS)
-    arrivals = profile.arrivals(sent, seed)
-    queue, waiting, newest = [(at, k) for k, at in enumerate(arrivals) if at is not None], 0, 0
-    positions = []
-    for now in (sent + PHASE).tolist():
-        while waiting < len(queue) and queue[waiting][0] <= now:
-            newest = queue[waiting][1]
-            waiting += 1
-        positions.append(codec.quantise(tuple(motion[newest].tolist())))
-    return Played(np.array(positions), {})
+    return np.array(rig.positions)
 
 
 def roughness(positions: np.ndarray, robot: RobotModel) -> tuple[float, float]:
@@ -227,39 +186,13 @@ def roughness(positions: np.ndarray, robot: RobotModel) -> tuple[float, float]:
     return tuple(float(np.sqrt(np.sum((values / limit) ** 2))) for values, limit in zip((acceleration, jerk), limits))
 
 
-def ratios(played: Played, motion: np.ndarray, robot: RobotModel) -> dict:
-    """Return ``acc_ratio`` and ``jerk_ratio`` of what was played over what was planned."""
-    moved = played.positions[round((WARM_UP - 1.0) / CYCLE) :]
-    ours, planned = roughness(moved, robot), roughness(motion, robot)
-    return {name: ours[k] / planned[k] for k, name in enumerate(("acc_ratio", "jerk_ratio"))}
-
-
-def measure(decimals: int = 6, **changes) -> dict:
-    """Return the ratios of every profile, ours and the naive gateway's.
-
-    Args:
-        decimals: Of the joint string.
-        changes: Other keys of `GatewayConfig`.
-
-    Returns:
-        ``{profile: {"ours": {"acc_ratio", "jerk_ratio"}, "naive": {...}}}``
-    """
-    robot = read_robot()
-    motion, config = planned_motion(robot), make_config(robot, decimals=decimals, **changes)
-    return {
-        name: {
-            "ours": ratios(play(motion, config, profile), motion, robot),
-            "naive": ratios(play_naively(motion, decimals, profile), motion, robot),
-        }
-        for name, profile in PROFILES.items()
-    }
-
-
-def print_ratios(results: dict) -> None:
-    """Print the table of `measure`."""
-    print(f"{'profile':16s}{'ours: acc':>12s}{'jerk':>10s}{'naive: acc':>14s}{'jerk':>10s}   (RMS over the plan's)")
-    for name, row in results.items():
-        ours, naive = row["ours"], row["naive"]
-        print(
-            f"{name:16s}{ours['acc_ratio']:12.3f}{ours['jerk_ratio']:10.3f}{naive['acc_ratio']:14.2f}{naive['jerk_ratio']:10.1f}"
-        )
+def measure(decimals: int = 6) -> dict:
+    """Return ``acc_ratio`` and ``jerk_ratio`` of every profile: what was played over what was planned."""
+    robot = read_robot_files(XACRO, ROBOT_YAML)
+    settings = yaml.safe_load((ROOT / "config" / "gateway.yaml").read_text())
+    motion, config = planned_motion(robot), gateway_config(robot, settings | {"decimals": decimals})
+    planned, found = roughness(motion, robot), {}
+    for name, profile in PROFILES.items():
+        played = roughness(play(motion, config, profile)[round((WARM_UP - 1.0) / CYCLE) :], robot)
+        found[name] = {"ours": dict(zip(("acc_ratio", "jerk_ratio"), (one / two for one, two in zip(played, planned))))}
+    return found

@@ -2,11 +2,9 @@
 
 ``python benchmarks/start.py`` (`make bench ARGS=start`) starts bringup.launch with the mock arm again and again, as a person does
 from a shell. `ready_s` is from `roslaunch` to the line that says `ready`, `read_s` the part of it in which roslaunch reads the
-launch files; `start_cpu_s` is the processor time that went into it, `programs` whose. `idle_cores` and
-`idle_mb` are of all that roslaunch started, itself and the master included, while the arm stands: processor time per time, and
-memory in which what several processes share counts once (PSS). `help_s` is `twin --help`, `refused_s` a command with an option
-that there is not, both without `rosrun`, which takes its own time. `rospy_s` is the processor time to load rospy alone: the floor
-of each Python node.
+launch files. `idle_cores` and `idle_mb` are of all that roslaunch started, itself and the master included, while the arm stands:
+processor time per time, and memory in which what several processes share counts once (PSS). `help_s` is `twin --help` without
+`rosrun`, which takes its own time.
 
 Two commits in turns: ``python benchmarks/turns.py start 90a3d156``. In a folder without a workspace one is built first.
 """
@@ -15,9 +13,9 @@ from __future__ import annotations
 
 import argparse
 import ctypes
-import json
 import os
 import signal
+import socket
 import statistics
 import subprocess
 import sys
@@ -28,7 +26,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from link_world import ROOT, end_in_order, environment, free_port
+from link_world import ROOT, end_in_order, environment, free_port, write_figures
 
 WORKSPACE = ROOT / ".ws"
 #: What belongs to the shell that runs this, and not to the commit whose start is measured. Nobody's shell forbids byte code.
@@ -38,6 +36,8 @@ _PR_SET_CHILD_SUBREAPER = 36
 _LIBC = ctypes.CDLL(None)
 #: Longest start [s].
 PATIENCE = 120.0
+#: Longest wait for what a launch left behind [s].
+PATIENCE_AT_END = 10.0
 #: After it said that it is ready, what still starts beside [s].
 SETTLE = 5.0
 
@@ -67,21 +67,16 @@ class Launch:
     """One start, in a session of its own."""
 
     def __init__(self, folder: Path, words: Sequence[str]):
-        master, broker, controller = (free_port() for _ in range(3))
-        uri = f"http://127.0.0.1:{master}"
-        ros = {
-            "ROS_MASTER_URI": uri,
-            "ROS_IP": "127.0.0.1",
-            "ROS_HOME": str(folder),
-            "ROS_LOG_DIR": str(folder / "log"),
-        }
-        ports = (f"broker_port:={broker}", f"rsi_port:={controller}")
+        master, self.broker_port = free_port(), free_port()
+        #: For nodes beside it, too.
+        self.ros = {"ROS_MASTER_URI": f"http://127.0.0.1:{master}", "ROS_IP": "127.0.0.1", "ROS_HOME": str(folder)}
+        ports = (f"broker_port:={self.broker_port}", f"rsi_port:={free_port(socket.SOCK_DGRAM)}")
         command = in_workspace("roslaunch", "-p", master, ROOT / "launch" / "bringup.launch", *ports, *words)
         self._log = folder / "start.log"
         with self._log.open("wb") as log:
             self._began = time.monotonic()
             self._process = subprocess.Popen(
-                command, stdout=log, stderr=log, env=shell() | ros, start_new_session=True, cwd=folder
+                command, stdout=log, stderr=log, env=shell() | self.ros, start_new_session=True, cwd=folder
             )
 
     def await_line(self, text: str) -> float:
@@ -93,18 +88,17 @@ class Launch:
             time.sleep(0.01)
         return time.monotonic() - self._began
 
-    def waited_for(self) -> float:
-        """Return the processor time of children that have ended, as those that roslaunch runs while it reads [s]."""
-        return sum(map(int, _stat(self._process.pid)[13:15])) / os.sysconf("SC_CLK_TCK")
-
     def used(self) -> dict[int, float]:
         """Return the processor time of each process of the launch [s]."""
         ticks = os.sysconf("SC_CLK_TCK")
         return {pid: sum(map(int, fields[11:13])) / ticks for pid, fields in self._family().items()}
 
-    def memory(self) -> float:
-        """Return the memory of all processes of the launch [MB]."""
-        return sum(filter(None, map(pss_mb, self._family())))
+    def memory(self) -> dict[str, float]:
+        """Return the memory of each program of the launch [MB]."""
+        found: Counter[str] = Counter()
+        for pid in self._family():
+            found[name_of(pid)] += pss_mb(pid)
+        return found
 
     def end(self) -> None:
         """Interrupt it, as Ctrl-C does."""
@@ -138,12 +132,12 @@ def _stat(pid: int) -> list[str]:
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
 
 
-def pss_mb(pid: int) -> float | None:
-    """Return a process's memory, of what it shares its part [MB]; None when it has ended."""
+def pss_mb(pid: int) -> float:
+    """Return a process's memory, of what it shares its part [MB]; 0 when it has ended."""
     try:
         lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
     except OSError:
-        return None
+        return 0.0
     return next(int(line.split()[1]) for line in lines if line.startswith("Pss:")) * 1024 / 1e6
 
 
@@ -170,10 +164,12 @@ def launched(words: Sequence[str]) -> Iterator[Launch]:
             yield launch
         finally:
             launch.end()
-            # and what it left behind, which ends by itself
+            # and what it left behind, which ends by itself; another child of this process may stay
+            deadline = time.monotonic() + PATIENCE_AT_END
             with suppress(ChildProcessError):
-                while True:
-                    os.wait()
+                while time.monotonic() < deadline:
+                    os.waitpid(-1, os.WNOHANG)
+                    time.sleep(0.01)
 
 
 def measure_start(words: Sequence[str], idle: float) -> dict:
@@ -181,50 +177,24 @@ def measure_start(words: Sequence[str], idle: float) -> dict:
     with launched(words) as launch:
         read = launch.await_line("started roslaunch server")
         ready = launch.await_line("ready; plan with")
-        used = launch.used()
         time.sleep(SETTLE)
         before, began = launch.used(), time.monotonic()
         time.sleep(idle)
         after, passed = launch.used(), time.monotonic() - began
-        programs: Counter[str] = Counter()
-        idles: Counter[str] = Counter()
-        for pid in after:
-            programs[name_of(pid)] += used.get(pid, 0.0)
-            idles[name_of(pid)] += (after[pid] - before.get(pid, 0.0)) / passed
         return {
             "ready_s": ready,
             "read_s": read,
-            "start_cpu_s": sum(used.values()) + launch.waited_for(),
-            "idle_cores": sum(idles.values()),
-            "idle_mb": launch.memory(),
-            "programs": dict(programs),
-            "idle": dict(idles),
+            "idle_cores": sum(used - before.get(pid, 0.0) for pid, used in after.items()) / passed,
+            "idle_mb": sum(launch.memory().values()),
         }
 
 
-def median_of(rows: Sequence[dict]) -> dict:
-    """Return the median of each figure; of names below one another, too."""
-    return {
-        name: median_of([row[name] for row in rows if name in row])
-        if isinstance(value, dict)
-        else round(statistics.median(row[name] for row in rows if name in row), 3)
-        for row in rows
-        for name, value in row.items()
-    }
-
-
-def seconds_of(command: Sequence[str], runs: int, code: int = 0) -> tuple[float, float]:
-    """Return the medians of time and processor time of a command that ends with this exit code [s]."""
-    times, used = [], []
-    for _ in range(runs):
-        before, began = os.times(), time.monotonic()
-        ended = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=shell()).returncode
-        times.append(time.monotonic() - began)
-        after = os.times()
-        used.append(after.children_user + after.children_system - before.children_user - before.children_system)
-        if ended != code:
-            raise SystemExit(f"{' '.join(command)} ended with {ended}, not {code}")
-    return round(statistics.median(times), 3), round(statistics.median(used), 3)
+def help_seconds() -> float:
+    """Return how long `twin --help` takes [s]."""
+    began = time.monotonic()
+    command = in_workspace("python", ROOT / "nodes" / "twin", "--help")
+    subprocess.run(command, stdout=subprocess.DEVNULL, env=shell(), check=True)
+    return time.monotonic() - began
 
 
 def main() -> None:
@@ -245,17 +215,9 @@ def main() -> None:
     for number in range(options.runs):
         rows.append(measure_start(options.words, options.idle))
         print(f"[start] {number + 1} of {options.runs}: {rows[-1]['ready_s']:.2f} s", flush=True)
-    twin = ROOT / "nodes" / "twin"
-    result = median_of(rows)
-    result["help_s"], _ = seconds_of(in_workspace("python", twin, "--help"), 9)
-    result["refused_s"], _ = seconds_of(in_workspace("python", twin, "--nonsense"), 9, code=2)
-    _, result["rospy_s"] = seconds_of(in_workspace("python", "-c", "import rospy"), 9)
-    result["environment"] = environment()
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    options.output.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    for name, value in result.items():
-        print(f"{name}: {value}")
-    print(options.output)
+    result = {name: round(statistics.median(row[name] for row in rows), 3) for name in rows[0]}
+    result["help_s"] = round(statistics.median(help_seconds() for _ in range(9)), 3)
+    write_figures(options.output, result | {"environment": environment()})
 
 
 if __name__ == "__main__":

@@ -11,17 +11,15 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
-import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Sequence
 from multiprocessing.synchronize import Event
 from pathlib import Path
 
 import numpy as np
-from bringup import START, bringup
-from link_world import ROOT, end_in_order, environment
+from link_world import ROOT, end_in_order, environment, write_figures
+from start import launched
 
 from construction_twin.mqtt.client import Broker, make_client
 from construction_twin.mqtt.fast_client import FastClient
@@ -41,7 +39,7 @@ def connected(port: int, name: str) -> FastClient:
     client.on_connect = lambda *_: up.set()
     client.connect_async("127.0.0.1", port)
     client.loop_start()
-    if not up.wait(START):
+    if not up.wait(30.0):
         raise TimeoutError("no broker")
     return client
 
@@ -108,26 +106,22 @@ def flooded(port: int, motions: bool, count: int) -> dict:
     return found
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure, print, write; return the exit code."""
+def main() -> None:
+    """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--output", type=Path, default=ROOT / "results/bench/stops.json", help="[%(default)s]")
     parser.add_argument("--stops", type=int, default=400, help="of each kind [%(default)s]")
-    options = parser.parse_args(arguments)
+    options = parser.parse_args()
     end_in_order()
     result: dict = {"environment": environment()}
-    with bringup("console:=files", "gui:=false") as port:
-        connected(port, "ready").disconnect()
-        time.sleep(15.0)
+    with launched(("console:=files", "gui:=false")) as launch:
+        launch.await_line("ready; plan with")
+        port = launch.broker_port
         result["quiet"] = stop_times(port, options.stops)
         for name, motions in (("ik", False), ("motions", True)):
             result[name] = flooded(port, motions, options.stops)
-            print(f"[stops] {name}: {result[name]}", flush=True)
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    options.output.write_text(json.dumps(result, indent=2) + "\n")
-    print(json.dumps(result, indent=2))
-    return 0
+    write_figures(options.output, result)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -4,25 +4,21 @@
 
 `check`: rows of 10, 50 and 200 bricks as copies of the sample's, in the brick wall's cell with the stock filled again, all
 processes together. `samples`: every task of both sample models, in order, each in the scene that its turn finds; success is the
-part of the tasks that can be planned, and the median is that of the planning of one task, one at a time. `impossible`: the tasks of
-the brick wall under a lid that leaves room for the bricks and not for the tool; how long until each is refused.
+part of the tasks that can be planned, and the median is that of the planning of one task, one at a time.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import platform
 import statistics
-import sys
 import tempfile
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import yaml
+from link_world import environment, write_figures
 
 from construction_twin.extensions.work.building import BuildingModel, Element, Task
 from construction_twin.extensions.work.commands.work_check import SEED, Checked, check_all
@@ -31,12 +27,10 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import read_robot_files
 
 ROOT = Path(__file__).resolve().parents[1]
-COUNTS = (10, 50, 200)
+PACKAGES = ("ifcopenshell", "numpy", "coal", "ompl", "pin", "toppra")
 SAMPLES = ("timber_panel", "brick_wall")
 #: Bricks of one course of the wall that is checked.
 COURSE = 10
-#: Over the wall: there is room for bricks below it, and none for tool and hand.
-LID = {"shape": "box", "size": [3.2, 0.9, 0.1], "position": [0.0, 1.5575, 0.95], "fixed": True}
 
 
 def sample(name: str) -> BuildingModel:
@@ -76,18 +70,6 @@ def refilled(folder: Path) -> Path:
     return path
 
 
-def under_a_lid(folder: Path) -> Path:
-    """Write the brick wall's cell with a lid over the wall, and return its path."""
-    path = refilled(folder)
-    content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    scene = yaml.safe_load(Path(content["scene"]).read_text(encoding="utf-8"))
-    scene["objects"]["lid"] = LID
-    content["scene"] = str(folder / "scene.yaml")
-    Path(content["scene"]).write_text(yaml.safe_dump(scene), encoding="utf-8")
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    return path
-
-
 def check(model: BuildingModel, where: Path, folder: str, processes: int) -> Checked:
     """Check a model with the track, as the command does."""
     return check_all(
@@ -106,47 +88,28 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Benchmark of work from a building model.")
     parser.add_argument("--output", type=Path, default=ROOT / "results/bench/work.json", metavar="FILE")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1, help="default: one per core")
-    parser.add_argument("--counts", type=int, nargs="*", default=list(COUNTS), help="default: 10 50 200")
+    parser.add_argument("--counts", type=int, nargs="*", default=[10, 50, 200], help="default: 10 50 200")
     options = parser.parse_args()
-    figures: dict = {
-        "machine": {"system": platform.platform(), "cores": os.cpu_count(), "processes": options.processes},
-        "versions": {name: version(name) for name in ("ifcopenshell", "numpy", "coal", "ompl", "pin", "toppra")},
-        "check": {},
-        "samples": {},
-    }
+    figures: dict = {"environment": environment(PACKAGES), "check": {}, "samples": {}}
     for count in options.counts:
         with tempfile.TemporaryDirectory() as folder:
             checked = check(wall(count), refilled(Path(folder)), folder, options.processes)
         possible = sum(task.possible for task in checked.tasks)
-        figures["check"][str(count)] = {
-            "s": round(checked.seconds, 2), "rss_mb": round(checked.rss_mb, 1), "possible": possible,
-        }  # fmt: skip
+        rss_mb = round(checked.rss_mb, 1)
+        figures["check"][str(count)] = {"s": round(checked.seconds, 2), "rss_mb": rss_mb, "possible": possible}
         print(f"check.{count}: {figures['check'][str(count)]}", flush=True)
     for name in SAMPLES:
         with tempfile.TemporaryDirectory() as folder:
             checked = check(sample(name), cell(name), folder, 1)
-        done = [task for task in checked.tasks if task.possible]
         figures["samples"][name] = {
-            "success": len(done) / len(checked.tasks),
+            "success": sum(task.possible for task in checked.tasks) / len(checked.tasks),
             "planning_s_median": round(statistics.median(task.planning for task in checked.tasks), 3),
         }
-        print(f"samples.{name}: {figures['samples'][name]}", flush=True)
         for task in checked.tasks:
             if not task.possible:
                 print(f"  {task.name}: {task.stage}: {task.reason}", flush=True)
-    with tempfile.TemporaryDirectory() as folder:
-        checked = check(sample("brick_wall"), under_a_lid(Path(folder)), folder, 1)
-    refused = [task.planning for task in checked.tasks if not task.possible]
-    figures["impossible"] = {
-        "refused": len(refused) / len(checked.tasks),
-        "told_s_median": round(statistics.median(refused), 3),
-        "told_s_max": round(max(refused), 3),
-    }
-    print(f"impossible: {figures['impossible']}", flush=True)
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    options.output.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
-    print(options.output)
+    write_figures(options.output, figures)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

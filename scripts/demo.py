@@ -1,17 +1,22 @@
-"""Runs launch/experiment.launch and ends with its success: `python scripts/demo.py [launch arguments]`.
+"""Behind `make demo` and `make build`: runs experiment.launch or build.launch and ends with its success.
 
-A filter drops what roslaunch prints about itself. On a terminal the variable TTY_COMPATIBLE tells rich in the experiment to
-draw its progress bar, which passes the filter unchanged.
+    python scripts/demo.py {demo,build} [launch arguments]
+    python scripts/demo.py demo gazebo [launch arguments]    # with the twin in Gazebo 11
+    python scripts/demo.py demo screenshots [SCENE...]       # takes the pictures of docs/images again
+
+A filter drops what roslaunch prints about itself. On a terminal the variable TTY_COMPATIBLE tells rich in the experiment to draw
+its progress bar, which passes the filter unchanged. The ledger of `build` begins empty: it lies in a ROS_HOME of its own.
 """
 
 from __future__ import annotations
 
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping
+import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -72,45 +77,22 @@ class Filter:
         return b"\n" if blank else b""
 
 
-def environment(given: Mapping[str, str], terminal: bool) -> dict[str, str]:
-    """Return the environment of roslaunch: its master, and whether its output ends on a terminal."""
-    settings = {"ROS_MASTER_URI": f"http://localhost:{given.get('ROS_MASTER_PORT', '11311')}"}
-    if terminal:
-        settings["TTY_COMPATIBLE"] = "1"
-    return {**given, **settings}
-
-
-def launch_arguments(arguments: list[str]) -> dict[str, str]:
-    """Return ``name:=value`` arguments as a mapping; of several for one name the last counts, as in roslaunch."""
-    return dict(argument.split(":=", 1) for argument in arguments if ":=" in argument)
-
-
-def results_folder(given: Mapping[str, str]) -> Path:
-    """Return the folder that the launch arguments name for the results."""
-    return Path(given.get("results_dir", ROOT / "results")).expanduser()
-
-
 def newest_link(results: Path, file: str) -> str | None:
     """Return the name of the newest run if it left a file, None when there is none."""
     latest = results / "latest"
     return os.readlink(latest) if latest.is_symlink() and (latest / file).is_file() else None
 
 
-def launch(arguments: list[str], name: str) -> None:
+def launch(name: str, arguments: list[str], variables: dict[str, str]) -> None:
     """Run the launch file of a name and show its output."""
     port = os.environ.get("ROS_MASTER_PORT", "11311")
-    command = [
-        "roslaunch",
-        "-p",
-        port,
-        "--no-summary",
-        "--disable-title",
-        "construction_twin",
-        f"{name}.launch",
-        *arguments,
-    ]
-    variables = environment(os.environ, sys.stdout.isatty())
-    run = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=variables)
+    variables |= {"ROS_MASTER_URI": f"http://localhost:{port}"}
+    if sys.stdout.isatty():
+        variables |= {"TTY_COMPATIBLE": "1"}
+    words = ["-p", port, "--no-summary", "--disable-title", "construction_twin", f"{name}.launch", *arguments]
+    run = subprocess.Popen(
+        ["roslaunch", *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=os.environ | variables
+    )
     # Ctrl-C reaches roslaunch as well, which ends its nodes; what they say while ending is still shown.
     signal.signal(signal.SIGINT, lambda *_: None)
     signal.signal(signal.SIGTERM, lambda *_: run.terminate())
@@ -121,15 +103,35 @@ def launch(arguments: list[str], name: str) -> None:
     run.wait()
 
 
-def main(arguments: list[str], name: str = "experiment", file: str = "summary.json") -> int:
-    """Run a launch file; return the exit code: 0 when it left a new run with that file, else 1 after a sentence."""
-    given = launch_arguments(arguments)
-    results = results_folder(given)
+def gzserver() -> str:
+    """Return the words that start Gazebo's server, in a Debian 11 chroot where it is not installed."""
+    if shutil.which("gzserver") is not None:
+        return "gzserver"
+    chroot = ROOT / "scripts" / "gazebo_chroot.sh"
+    subprocess.run([chroot, "make"], check=True)
+    return f"{chroot} run gzserver"
+
+
+def main(target: str, arguments: list[str]) -> int:
+    """Run `demo` or `build`; return the exit code: 0 when it left its file, else 1 after a sentence."""
+    if target == "demo" and arguments[:1] == ["screenshots"]:
+        subprocess.run(["bash", ROOT / "setup/setup.sh", "tests"], check=True)
+        browser = ROOT / ".ws/browser/bin/python"
+        return subprocess.run([browser, ROOT / "tools/screenshots.py", *arguments[1:]]).returncode
+    if target == "demo" and arguments[:1] == ["gazebo"]:
+        os.environ["GZSERVER"] = gzserver()
+        arguments = ["twin:=gazebo", "servo:=realistic", *arguments[1:]]
+    given = dict(argument.split(":=", 1) for argument in arguments if ":=" in argument)
+    results = Path(given.get("results_dir", ROOT / "results")).expanduser()
+    name, file = {"demo": ("experiment", "summary.json"), "build": ("build", "work.json")}[target]
     before = newest_link(results, file)
-    launch(arguments if "results_dir" in given else [f"results_dir:={results}", *arguments], name)
+    logs = Path(os.environ.get("ROS_LOG_DIR", Path.home() / ".ros/log"))
+    with tempfile.TemporaryDirectory(prefix="construction_twin_build_") as home:
+        variables = {"ROS_HOME": home, "ROS_LOG_DIR": str(logs)} if target == "build" else {}
+        launch(name, [f"results_dir:={results}", *arguments], variables)
     if newest_link(results, file) in (None, before):
-        logs = Path(os.environ.get("ROS_LOG_DIR", Path.home() / ".ros/log")) / "latest"
-        print(f"{name}: it did not finish; the sentences above say why. Logs of every node: {logs}", file=sys.stderr)
+        sentence = "it did not finish; the sentences above say why. Logs of every node"
+        print(f"{target}: {sentence}: {logs / 'latest'}", file=sys.stderr)
         return 1
     return 0
 
@@ -140,4 +142,4 @@ def _show(text: bytes) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main(sys.argv[1], sys.argv[2:]))

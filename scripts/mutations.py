@@ -1,4 +1,4 @@
-"""Breaks chosen lines one at a time and shows that a named test notices each: `make mutations`, `ARGS="gateway --workers 1"`.
+"""Breaks chosen lines one at a time and shows that a named test notices each: `make test ARGS="mutations gateway --workers 1"`.
 
 scripts/mutations.toml names each mutation by the behaviour that it breaks, with the file below src/construction_twin, a text that
 stands there once, what takes its place, and the test (below test/) that must fail then. Every worker has a copy of the repository
@@ -229,7 +229,7 @@ def run(mutations: list[Mutation], root: Path, workers: int, time_limit: float =
 
 def main(arguments: list[str] | None = None) -> int:
     """Judge the mutations of the list that were selected; return the exit code."""
-    parser = argparse.ArgumentParser(prog="make mutations", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="make test ARGS=mutations", description=__doc__.splitlines()[0])
     parser.add_argument("word", nargs="*", help="only mutations with one of these words in file, behaviour or test")
     parser.add_argument("--workers", type=int, default=2, help="how many run beside each other [%(default)s]")
     parser.add_argument(

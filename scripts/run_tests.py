@@ -7,13 +7,16 @@
 | a name | the launch test of that name in test/integration |
 | `fast` | the shortest unit tests, as many as fit into two minutes on two cores, by what they took last time |
 | `changed`, `changed=COMMIT` | lint; unit tests whose code has changed since they ran last (pytest-testmon); by `TOUCHES`, more |
+| `mutations`, `scenarios`, `soak` | scripts/NAME.py with the words behind it |
+| `fuzz [COUNT [SEED]]` | hostile messages and telegrams at a running gateway, a million each |
+| `properties` | the property tests with new random examples; pytest's words behind it |
 
 `changed` looks at what has changed since the branch left `origin/main`, or since a commit.
 
-Everything is pytest; each tool of scripts/lint.py and each launch test counts as one test. Lint, the unit tests that need no real
-time and those of the page (test/browser, in a venv that drives a browser) run beside each other, whole files, the file that took
-longest last time first: a run keeps what each took in `.ws/test_durations.json`; a fresh checkout begins with test/durations.json,
-a copy of such a file. Unit tests at 250 Hz (mark `realtime`) have a core each, then the launch tests run one after the other.
+Everything is pytest; each tool of `LINT` and each launch test counts as one test. Lint, the unit tests that need no real time and
+those of the page (test/browser, in a venv that drives a browser) run beside each other, whole files, the file that took longest
+last time first: a run keeps what each took in `.ws/test_durations.json`; a fresh checkout begins with test/durations.json, a copy
+of such a file. Unit tests at 250 Hz (mark `realtime`) have a core each, then the launch tests run one after the other.
 """
 
 from __future__ import annotations
@@ -27,12 +30,18 @@ import time
 from pathlib import Path
 from xml.etree import ElementTree
 
-import lint
-
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / ".ws" / "test_results"
 BROWSER_PYTHON = ROOT / ".ws" / "browser" / "bin" / "python"
 KEPT, SHIPPED = ROOT / ".ws" / "test_durations.json", ROOT / "test" / "durations.json"
+#: What checks the sources without running them; the settings are in pyproject.toml and .importlinter.
+LINT = {
+    "ruff check": ("ruff", "check"),
+    "ruff format": ("ruff", "format", "--check"),
+    "import-linter": ("lint-imports", "--no-logo", "--no-cache"),
+    "mypy": ("mypy",),
+    "size": ("python", "scripts/size.py", "--check"),
+}
 #: Longest line about a failed test in the list at the end [characters].
 LINE = 300
 #: Processes of unit tests per core, a third of whose time is waiting, and most of them, for the memory that each takes.
@@ -134,12 +143,25 @@ class Run:
         return passed, failures
 
 
+def start_lint() -> dict[str, subprocess.Popen]:
+    """Start every tool of `LINT`."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT / "src"), "NO_COLOR": "1"}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    # the programs lie beside the interpreter, in the venv
+    return {
+        name: subprocess.Popen([Path(sys.executable).parent / program, *words], cwd=ROOT, env=environment, **pipes)
+        for name, (program, *words) in LINT.items()
+    }
+
+
 def lint_result(runs: dict[str, subprocess.Popen]) -> Result:
     """Wait for the tools of lint and show what they found; each is one test."""
-    findings = lint.end(runs)
-    for finding in findings:
-        print(f"lint, {finding.name}:", "passed" if finding.passed else f"failed\n{finding.output}", flush=True)
-    return sum(one.passed for one in findings), [f"lint, {one.name}" for one in findings if not one.passed]
+    failed = []
+    for name, run in runs.items():
+        output, _ = run.communicate()
+        print(f"lint, {name}:", f"failed\n{output}" if run.returncode else "passed", flush=True)
+        failed += [f"lint, {name}"] if run.returncode else []
+    return len(runs) - len(failed), failed
 
 
 def touched(since: str) -> set[str]:
@@ -162,8 +184,29 @@ def touched(since: str) -> set[str]:
     return found | {test for test, text in texts.items() for name in names if name == test or name in text} | {*changed}
 
 
+def other(words: list[str]) -> int | None:
+    """Run what is no test of every day; return its exit code, None for other words."""
+    environment, pytest = dict(os.environ), [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
+    match words:
+        case ["mutations" | "scenarios" | "soak" as name, *rest]:
+            command = [sys.executable, ROOT / "scripts" / f"{name}.py", *rest]
+        case ["fuzz", *rest]:
+            count, seed, *_ = [*rest, *["1000000", "1"][len(rest) :]]
+            environment |= {"FUZZ_COUNT": count, "FUZZ_SEED": seed}
+            command = [*pytest, "-s", "test/unit/gateway/test_fuzz.py"]
+        case ["properties", *rest]:
+            environment |= {"HYPOTHESIS_PROFILE": "random"}
+            every = [*(ROOT / "test/unit").rglob("test_*.py"), *(ROOT / "test/extensions").rglob("test_*.py")]
+            command = [*pytest, *(file for file in every if "\nfrom hypothesis" in file.read_text()), *rest]
+        case _:
+            return None
+    return subprocess.run(command, cwd=ROOT, env=environment).returncode
+
+
 def main(words: list[str]) -> int:
     """Run what was selected; return the exit code."""
+    if (code := other(words)) is not None:
+        return code
     shutil.rmtree(RESULTS, ignore_errors=True)
     RESULTS.mkdir(parents=True)
     known = json.loads((KEPT if KEPT.exists() else SHIPPED).read_text())
@@ -197,7 +240,7 @@ def main(words: list[str]) -> int:
         unit, alone = [], []
     launches = [test for test in launches if not words or "integration" in words or test.stem in words]
     began = time.monotonic()
-    linting = lint.start() if not words or "lint" in words else {}
+    linting = start_lint() if not words or "lint" in words else {}
     workers = min(PER_CORE * len(os.sched_getaffinity(0)), MOST)
     runs = []
     if unit:

@@ -1,4 +1,4 @@
-"""Runs every shipped scenario three times: `make scenarios`.
+"""Runs every shipped scenario three times: `make test ARGS=scenarios`.
 
 `python scripts/scenarios.py --runs 1 stall_replan estop` runs these two once each. Results are in results/scenarios/run_N. The exit
 code is 0 if every run passed. Run it on an idle machine: other load changes the figures.

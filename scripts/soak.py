@@ -1,75 +1,91 @@
-"""Runs the whole loop of one robot for an hour and says whether it grows, holds or loses anything: `make soak`.
+"""Runs the whole system with the mock arm for an hour and says whether it grows, holds or loses anything: `make test ARGS=soak`.
 
-The loop is gateway, mock controller, bridge, broker, and a commander on ROS that keeps the arm moving. Every minute it prints a
-line: resident memory per process, late replies, the 99th percentile of the way out and back, and how often and for how long a core
-ran no process (benchmarks/machine.py). It ends where the arm holds. `python scripts/soak.py --minutes 5` is a shorter run.
+The arm moves to and fro. Every minute it prints a line: memory of all processes, late replies, and how often and for how long a
+core ran no process (benchmarks/machine.py). It ends where a motion does not. `ARGS="soak --minutes 5"` is a shorter run.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import sys
-import tempfile
+import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "benchmarks"))
+sys.path[:0] = [str(ROOT / "benchmarks"), str(ROOT / "test/integration")]
 
-import rospy  # noqa: E402
-from link_fleet import Fleet  # noqa: E402
-from link_world import REALTIME, World, end_in_order, environment, resident_mb  # noqa: E402
+from link_world import REALTIME, end_in_order  # noqa: E402
 from machine import MachineProbe  # noqa: E402
+from start import Launch, launched  # noqa: E402
 
-from construction_twin.core.realtime import release_realtime  # noqa: E402
-
-#: Growth of a process's memory up to here is noise [MB].
+#: Growth of a program's memory up to here is noise [MB].
 MAX_GROWTH = 2.0
 #: Counters of the gateway that say that a cycle went wrong.
-CYCLES = ("telegrams_skipped", "ipoc_steps_irregular", "sessions_by_ipoc_jump", "stops_silence", "stops_refused")
+CYCLES = (
+    "late_replies",
+    "commands_lost",
+    "telegrams_skipped",
+    "ipoc_steps_irregular",
+    "sessions_by_ipoc_jump",
+    "stops_silence",
+    "stops_refused",
+)
 
 
-def run(fleet: Fleet, probe: MachineProbe, minutes: float, interval: float) -> list[str]:
-    """Let the loop run and print a line per interval [s]; return what is wrong, one sentence each."""
+def run(launch: Launch, probe: MachineProbe, minutes: float, interval: float) -> list[str]:
+    """Move and print a line per interval [s]; return what is wrong, one sentence each."""
+    # the robot's namespace is read on import, and must not be that of the launch
+    os.environ |= launch.ros | {"ROS_NAMESPACE": "/kr120"}
+    import rospy
+    from twin_client import LEFT, RIGHT, TwinClient
+
+    rospy.init_node("soak", disable_signals=True)
+    client = TwinClient()
+
+    def counts() -> dict[str, int]:
+        counters = client.gateway_counters()
+        return {name: int(counters.get(name, 0)) for name in CYCLES}
+
     memory: list[dict[str, float]] = []
-    late = 0
-    before = fleet.ask("statuses")[fleet.names[0]]["counters"]
-    print(f"{'minute':>7}{'bridge':>9}{'gateway':>9}{'mock':>9} MB{'late':>6}{'p99':>7} ms{'pauses':>8}{'longest':>9}")
-    for number in range(max(1, round(minutes * 60.0 / interval))):
-        probe.taken()
-        figures, machine = fleet.measure(interval), probe.taken()
-        memory.append({part: round(resident_mb(pids[0]), 1) for part, pids in fleet.pids.items()})
-        late += figures["late"]
-        sizes = "".join(f"{size:9.1f}" for size in memory[-1].values())
-        row = f"{figures['late']:6d}{figures['p99_ms']:7.2f}   {machine['pauses']:8d}{machine['longest_ms']:6.1f} ms"
-        print(f"{number + 1:7d}{sizes}   {row}", flush=True)
-        if not figures["following"]:
-            return [f"the arm held in minute {number + 1}"]
-    counters = fleet.ask("statuses")[fleet.names[0]]["counters"]
-    counts = {name: counters.get(name, 0) - before.get(name, 0) for name in (*CYCLES, "commands_lost")}
-    wrong = [f"{count} {name}" for name, count in ({"late replies": late} | counts).items() if count]
+    try:
+        client.wait_until_ready()
+        before = last = counts()
+        print(f"{'minute':>7}{'MB':>7}{'late':>6}{'pauses':>8}{'longest':>10}")
+        for number in range(max(1, round(minutes * 60.0 / interval))):
+            probe.taken()
+            end = time.monotonic() + interval
+            while time.monotonic() < end:
+                client.go_to(LEFT)
+                client.go_to(RIGHT)
+            machine, now = probe.taken(), counts()
+            memory.append(launch.memory())
+            row = f"{number + 1:7d}{sum(memory[-1].values()):7.0f}{now['late_replies'] - last['late_replies']:6d}"
+            print(f"{row}{machine['pauses']:8d}{machine['longest_ms']:7.1f} ms", flush=True)
+            last = now
+    except AssertionError as error:
+        return [str(error)]
+    finally:
+        rospy.signal_shutdown("done")
     # in the first minutes every process warms up
-    first, last = memory[min(5, len(memory) - 1)], memory[-1]
-    return wrong + [
-        f"{part} grew by {last[part] - first[part]:.1f} MB" for part in last if last[part] - first[part] > MAX_GROWTH
+    first, final = memory[min(5, len(memory) - 1)], memory[-1]
+    growth = {name: size - first.get(name, 0.0) for name, size in final.items()}
+    return [f"{last[name] - before[name]} {name}" for name in CYCLES if last[name] != before[name]] + [
+        f"{name} grew by {size:.1f} MB" for name, size in growth.items() if size > MAX_GROWTH
     ]
 
 
 def main() -> int:
-    """Run the loop; return the exit code."""
-    parser = argparse.ArgumentParser(description="The loop of one robot for an hour: growth, holds, lost cycles.")
+    """Run the system; return the exit code."""
+    parser = argparse.ArgumentParser(prog="make test ARGS=soak", description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=60.0, help="[%(default)s]")
     parser.add_argument("--interval", type=float, default=60.0, help="of a line [s] [%(default)s]")
-    parser.add_argument("--realtime", type=int, default=REALTIME, help="SCHED_FIFO priority; 0: none [%(default)s]")
     options = parser.parse_args()
     end_in_order()
-    with tempfile.TemporaryDirectory() as folder, World(Path(folder)) as world:
-        fleet = Fleet(world, 1, options.realtime)
-        fleet.start(60.0)
-        wrong = run(fleet, world.enter_context(MachineProbe(options.realtime)), options.minutes, options.interval)
-        fleet.dismiss()
-        rospy.signal_shutdown("done")
-        release_realtime()
-    print(f"load {environment()['load']}\nverdict: {'; '.join(wrong) or 'no growth, no hold, no lost cycle'}")
+    with launched(()) as launch, MachineProbe(REALTIME) as probe:
+        launch.await_line("ready; plan with")
+        wrong = run(launch, probe, options.minutes, options.interval)
+    print(f"verdict: {'; '.join(wrong) or 'no growth, no hold, no lost cycle'}")
     return 1 if wrong else 0
 
 

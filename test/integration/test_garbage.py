@@ -149,7 +149,7 @@ class GarbageTest(RobotTest):
             next_burst = [0.0]
 
             def finished() -> bool:
-                # about 80 messages ten times a second among the real ones; a flood that takes the processors is `make fuzz`
+                # about 80 messages ten times a second among the real ones; a flood is `make test ARGS=fuzz`
                 if time.monotonic() >= next_burst[0]:
                     next_burst[0] = time.monotonic() + 0.1
                     self.send_garbage()

@@ -19,7 +19,7 @@ from construction_twin.extensions.physics.arm import Plant, bare_model
 from construction_twin.extensions.physics.commands.identify import drives_of
 from construction_twin.extensions.physics.drive import drives_of as urdf_drives
 from construction_twin.extensions.physics.drive import read_drives
-from construction_twin.extensions.physics.identification import Identified, identify
+from construction_twin.extensions.physics.identification import IdentifiedJoint, identify
 from construction_twin.extensions.physics.mass import payload_of
 from construction_twin.extensions.physics.mock_servo import PhysicsServo
 from construction_twin.mock.faults import Fault
@@ -109,15 +109,15 @@ def _unaffected(chain: SimulatedChain, before: int, joint: int, fault: Fault) ->
     raise AssertionError("the fault shows in no pose")
 
 
-def identified(chain: SimulatedChain) -> Identified:
+def identified(chain: SimulatedChain) -> tuple[IdentifiedJoint, ...]:
     """Return the servos as they follow from what a bag of the chain's run would hold."""
     recording = chain.recording()
     return identify(NAMES, drives_of(replace(recording, command=recording.twin), CYCLE_NS), CYCLE_NS)
 
 
-def model_of(found: Identified) -> ServoModel:
+def model_of(found: tuple[IdentifiedJoint, ...]) -> ServoModel:
     """Return the model of what was identified."""
-    return ServoModel(NAMES, tuple(joint.servo for joint in found.joints), found.cycle_ns)
+    return ServoModel(NAMES, tuple(joint.servo for joint in found), CYCLE_NS)
 
 
 class LadenServo(RealisticServo):
@@ -150,7 +150,6 @@ class ForeignPlant(Plant):
         self._bare = InverseDynamics(bare_model(bodies, plain))
         self.laden = True
         super().__init__(known, 60.0, 0.8)
-        self._answer, self._speed = self._arm.answer, np.zeros(len(NAMES))
 
     def place(self, q) -> None:
         super().place(q)

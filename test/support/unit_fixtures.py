@@ -12,7 +12,7 @@ from processes import BrokerProcess
 from construction_twin.mqtt.messages import Topics
 
 # how long an example takes is the machine's affair, not the product's; and a red run is red again until it is mended, a green one
-# stays green: new examples are looked for by `make properties`
+# stays green: new examples are looked for by `make test ARGS=properties`
 hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True)
 hypothesis.settings.register_profile("random", deadline=None)
 hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))

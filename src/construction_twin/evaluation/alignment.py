@@ -44,9 +44,9 @@ class Window:
     """The span of ROS time that is evaluated.
 
     Attributes:
-        start, end: First and last moment [ns], both included.
+        start, end: First and last moment [ns].
         task_end: Nominal stamp of the last setpoint [ns]; `end` is later by the time the arm needs to answer it.
-        from_plan: Whether start and end come from the plans that were played; otherwise from the overlap of both streams.
+        from_plan: Start and end come from the plans that were played; False: from the overlap of both streams.
     """
 
     start: int
@@ -191,13 +191,10 @@ def align_expected(recording: Recording, window: Window) -> Alignment | None:
 
 
 def estimate_lag(recording: Recording, window: Window) -> float | None:
-    """Return the constant lag of the arm behind its commands, by least squares over all joints and samples.
+    """Return the constant lag of the arm behind its commands [ns], by least squares; None without stamps, or a twin at rest.
 
-    A coarse scan over whole cycles finds the global minimum's neighbourhood (a repetitive motion has several local minima), and a
-    bounded search inside it finds the minimum, to well below a nanosecond on noise-free data.
-
-    Returns:
-        [ns], 0 to `MAX_LAG_NS`. None when there are no command stamps or the twin does not move.
+    A coarse scan over whole cycles finds the global minimum's neighbourhood (a repetitive motion has several local minima), a
+    bounded search inside it the minimum.
     """
     answered, _ = _answered(recording, window)
     if answered is None:

@@ -1,7 +1,6 @@
-"""A recorded run as plain arrays: the input of an evaluation, independent of the file format.
+"""A recorded run as plain arrays: the input of an evaluation, made by `bag` or filled by a simulation.
 
-Stamps are int64 nanoseconds, positions float64 rad, columns in the order of `Recording.joint_names`. No ROS here:
-`bag` makes these of a bag's messages, a simulation may fill them directly.
+Stamps are int64 nanoseconds, positions float64 rad, columns in the order of `Recording.joint_names`.
 """
 
 from __future__ import annotations

@@ -248,7 +248,7 @@ td { white-space: nowrap; } .text td:last-child, .values td { white-space: norma
 
 
 def page(summary: Mapping, recording: Recording, drawings: Mapping[str, bytes]) -> str:
-    """Return the page: ASCII except for text from the recording, which is for its plans and state changes."""
+    """Return the page: ASCII except for text from the recording."""
     title = f"Twin and physical arm: {summary['robot']}"
     sections = [
         f"<h1>{escape(title)}</h1>", _facts(summary), *_error_tables(summary), *_figures(drawings), _timing(summary),
@@ -386,9 +386,9 @@ def write_report(recording: Recording, robot: RobotModel | None, directory: str 
     """Evaluate a recording and write everything into `directory`, which is made if it does not exist.
 
     Args:
-        twin: What simulated the twin, as the launch argument `twin` says it; empty: nobody knows.
-        robot: For the tool path and the joints' units; without it, or when it has other joints than the recording, `figure8.png` is
-            not written, and every joint is taken as revolute.
+        twin: What simulated the twin, as the launch argument `twin` says it; empty: unknown.
+        robot: For the tool path and the joints' units; None, or with other joints than the recording: `figure8.png` is left out,
+            and every joint is taken as revolute.
     """
     if robot is not None and robot.joint_names != recording.joint_names:
         robot = None

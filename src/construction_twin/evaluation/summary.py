@@ -1,7 +1,4 @@
-"""Evaluates a recording: the alignments, and all figures of `summary.json` as one mapping.
-
-A figure that the recording does not contain is None (null in the file); nothing is assumed.
-"""
+"""Evaluates a recording: the alignments, and all figures of `summary.json` as one mapping. None: unknown."""
 
 from __future__ import annotations
 
@@ -35,8 +32,8 @@ class Evaluation:
 def evaluate(recording: Recording) -> Evaluation:
     """Align a recording by every method for which it holds the data.
 
-    The window is the task's, from its plans' first to last setpoint, extended by the median round trip and the lag, so that
-    the samples which answer the last waypoint belong to it; without plans it is the overlap of both streams.
+    The window is that of `task_window`, extended by the median round trip and the lag, so that the samples which answer the last
+    waypoint belong to it.
     """
     window = alignment.task_window(recording)
     trips = alignment.round_trips(recording, window)

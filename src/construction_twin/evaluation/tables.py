@@ -1,7 +1,4 @@
-"""The paper's Table 1 for this run: error figures per joint, as data, as CSV and on the terminal.
-
-Works on the mapping that `summary.json` holds, so that a stored run prints exactly as a fresh one.
-"""
+"""The paper's Table 1 for this run: error figures per joint, as data, as CSV and on the terminal, made of `summary.json`."""
 
 from __future__ import annotations
 
@@ -67,7 +64,7 @@ ALIGNMENTS = {
 #: What an alignment needs that not every run has.
 NEEDS = {"expected": "a run with the launch argument servo_model has it"}
 SIMULATION = "This is a simulation: the arm was the mock controller of this package, not a robot."
-ARM_NOT_TOLD = (
+ARM_UNKNOWN = (
     "The recording has no mock_rsi/status: the arm was a robot, or this is a simulation whose status was not recorded."
 )
 NO_MOTION = "Nothing moved while this was recorded: the figures say nothing of how twin and arm agree in motion."
@@ -164,9 +161,9 @@ def table_csv(tables: Mapping) -> str:
     return text.getvalue()
 
 
-def table_console(stderr: bool = False, markup: bool = True) -> Console:
+def table_console(markup: bool = True) -> Console:
     """Return a console for tables: into a pipe or a file they are as wide as they need, on a terminal as wide as that."""
-    console = Console(highlight=False, stderr=stderr, markup=markup)
+    console = Console(highlight=False, markup=markup)
     if not console.is_terminal:
         console.width = _WIDEST
     return console
@@ -200,7 +197,7 @@ def summary_lines(summary: Mapping) -> list[str]:
 
 def remarks(summary: Mapping) -> list[str]:
     """Return what is said beside the figures: what kind of arm they are of, and that nothing moved."""
-    return [*([] if summary["moved"] else [NO_MOTION]), SIMULATION if summary["mock"] else ARM_NOT_TOLD]
+    return [*([] if summary["moved"] else [NO_MOTION]), SIMULATION if summary["mock"] else ARM_UNKNOWN]
 
 
 def facts(summary: Mapping) -> list[tuple[str, str, str]]:

@@ -1,4 +1,4 @@
-"""A scenario: what is done to a running cell, when, and what is expected of it. Pure: read from YAML, checked as a whole.
+"""A scenario: what is done to a running cell, when, and what is expected of it.
 
 Values are SI but for keys that end in ``_deg`` and ``_mm``. docs/scenarios.md explains the file.
 """

@@ -1,4 +1,4 @@
-"""Judges a recorded run of a scenario against its expectation. Pure: works on a `Run` and the gateway's trace.
+"""Judges a recorded run of a scenario against its expectation.
 
 Errors are physical - twin. Where a pose says which command it answers to, the twin's pose for that command is taken, and
 what the servo lag explains is left in; where it does not (the gateway brakes or holds) the twin's present pose is.

@@ -1,4 +1,4 @@
-"""How fast and how far an arm moved, from recorded positions. Pure; rad, s, ns."""
+"""How fast and how far an arm moved, from recorded positions; rad, s, ns."""
 
 from __future__ import annotations
 
@@ -26,13 +26,9 @@ def limit_usage(
 
     Args:
         positions: Shape (k, n). One per cycle [rad].
-        breaks: Shape (k,), true or false. True where a position does not follow the one before: what was before counts for nothing,
-            the arm was at rest.
+        breaks: Shape (k,). Where a motion begins anew, from rest.
         cycle: The controller's cycle [s].
-        left_out: Shape (k,), true or false. Positions that do not count.
-
-    Returns:
-        velocity, acceleration: Shape (n,). Greater than 1: the limit was left.
+        left_out: Shape (k,). Positions that do not count.
     """
     allowance = np.array(limits.allowances(decimals, cycle))
     steps = np.diff(positions, axis=0, prepend=positions[:1])
@@ -48,7 +44,7 @@ def limit_usage(
 
 
 def trace_arrays(entries: Sequence[TraceEntry], cycle: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return what arrived of a gateway's trace, and where a position does not follow the one before: shapes (k, n) and (k,).
+    """Return what arrived of a gateway's trace, and where a motion begins anew: shapes (k, n) and (k,).
 
     As in `trace_excesses`, a new session begins from rest, and so does what follows a cycle [s] without a reply that arrived.
     """
@@ -71,16 +67,12 @@ def trace_arrays(entries: Sequence[TraceEntry], cycle: float) -> tuple[np.ndarra
 
 
 def distance_after(stamps: np.ndarray, positions: np.ndarray, begin: int, end: int) -> tuple[np.ndarray, float]:
-    """Return the largest distance of each joint from its position at `begin`, until `end`, and when the arm came to rest.
+    """Return the largest distance of each joint from its position at `begin`, until `end`, and the time to the arm's rest [s].
 
     Args:
         stamps: Shape (k,). [ns]
         positions: Shape (k, n). [rad]
         begin, end: [ns]
-
-    Returns:
-        distance: Shape (n,). Largest [rad].
-        rest: From `begin` to the last cycle that moved [s].
     """
     # from the cycle before: by its number, because a controller process that was late sends the next ones sooner
     first = max(0, int(np.searchsorted(stamps, begin)) - 1)

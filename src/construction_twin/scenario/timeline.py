@@ -1,4 +1,4 @@
-"""What happened in a run, as a list of changes with their moments. Pure; stamps are ROS time [ns]."""
+"""What happened in a run, as a list of changes with their moments; stamps are ROS time [ns]."""
 
 from __future__ import annotations
 
@@ -64,9 +64,8 @@ class Run:
     Attributes:
         arm_stamps: Shape (k,), int64. [ns]
         arm: Shape (k, n). True joint positions of the mock arm, every cycle [rad].
-        missed: Replies that the controller missed during the run.
-        missed_at: Shape (m,), int64. When it said so [ns].
-        failure: Why the run was not carried out to its end; empty when it was.
+        missed_at: Shape (m,), int64. When the controller reported missed replies [ns].
+        failure: Why the run was cut short; empty: it was not.
         stated: Distance of each axis to rest, as the controller stated it when an emergency stop began [deg]; empty without one.
     """
 

@@ -50,13 +50,8 @@ def parser(robot: str) -> argparse.ArgumentParser:
     # given before or after the command; only the first of the two has a default
     for target, default, seconds in ((root, robot, TIMEOUT), (common, argparse.SUPPRESS, argparse.SUPPRESS)):
         target.add_argument("--robot", default=default, metavar="NAMESPACE", help=f"which robot [{robot}]")
-        target.add_argument(
-            "--timeout",
-            default=seconds,
-            type=_positive,
-            metavar="S",
-            help=f"wait so long for the system [{TIMEOUT:g} s]",
-        )
+        text = f"wait so long for the system [{TIMEOUT:g} s]"
+        target.add_argument("--timeout", default=seconds, type=_positive, metavar="S", help=text)
     commands = root.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     def command(name: str, text: str) -> argparse.ArgumentParser:
@@ -69,9 +64,7 @@ def parser(robot: str) -> argparse.ArgumentParser:
     export = command("export", "write the newest plan, whatever became of it, as a CSV file that plan --csv reads")
     export.add_argument("file", metavar="FILE", help="the file to write; -: standard output")
     export.add_argument("--deg", action="store_true", help="in deg and mm [rad and m, to the last bit]")
-    gateway = command(
-        "gateway", "write the configuration of rsi_gateway for the cell PC, from the running bringup's parameters"
-    )
+    gateway = command("gateway", "write the gateway's configuration for the cell PC, from the parameters of a bringup")
     gateway.add_argument("file", metavar="FILE", help="the file to write, e.g. kr120_gateway.json; -: standard output")
     preview = command("preview", "let the ghost play the plan under review")
     preview.add_argument("--speed", type=_percent, default=1.0, metavar="PERCENT", help="of the plan's own speed [100]")
@@ -84,14 +77,10 @@ def parser(robot: str) -> argparse.ArgumentParser:
     arm.add_argument("--responsible", default="", metavar="NAME", help="the person who is responsible; must be given")
     status = command("status", "say what link, gate and executor do")
     status.add_argument("--ready", action="store_true", help="end with 1 unless a plan could be approved now")
-    command(
-        "rehearsal",
-        "show what the simulated arm found when it carried out the newest plan; ends with 1 unless it passed",
-    )
+    command("rehearsal", "show what the simulated arm found of the newest plan; ends with 1 unless it passed")
     scene = command("scene", "list what the arm must not touch, or write it for another planner")
-    scene.add_argument(
-        "--moveit", metavar="FILE", help="write what stands in it as a .scene file of MoveIt; - for the terminal"
-    )
+    moveit = "write what stands in it as a .scene file of MoveIt; - for the terminal"
+    scene.add_argument("--moveit", metavar="FILE", help=moveit)
     with contextlib.suppress(ExtensionAbsent):
         steps = extension("work.twin_arguments").add_steps
         steps(command("work", "work from a building model: its tasks, what comes next, what people say"), common)
@@ -102,52 +91,30 @@ def parser(robot: str) -> argparse.ArgumentParser:
 
 def _add_plan(plan: argparse.ArgumentParser) -> None:
     goal = plan.add_mutually_exclusive_group(required=True)
-    goal.add_argument(
-        "--joints",
-        type=finite,
-        nargs="+",
-        metavar="VALUE",
-        help="joint values, A1 first, with spaces between them [deg; mm for a prismatic joint]",
-    )
-    goal.add_argument(
-        "--pose",
-        type=finite,
-        nargs=6,
-        metavar=("X", "Y", "Z", "A", "B", "C"),
-        help="pose of tool0: position [mm] and KUKA's angles [deg]",
-    )
+    values, pose = "joint values, A1 first [deg; mm for a prismatic joint]", ("X", "Y", "Z", "A", "B", "C")
+    goal.add_argument("--joints", type=finite, nargs="+", metavar="VALUE", help=values)
+    goal.add_argument("--pose", type=finite, nargs=6, metavar=pose, help="of tool0: position [mm], KUKA's angles [deg]")
     goal.add_argument("--csv", metavar="FILE", help="joint waypoints in a file on the planner's machine")
-    plan.add_argument(
-        "--columns",
-        default="",
-        metavar="NAMES",
-        help="with --csv, for a file of numbers alone: time_s,joints_rad or joints_deg or each by its name",
-    )
+    columns = "with --csv, for a file of numbers alone: time_s,joints_rad or joints_deg or each by its name"
+    plan.add_argument("--columns", default="", metavar="NAMES", help=columns)
     plan.add_argument("--line", action="store_true", help="with --pose: move the tool on a straight line")
-    plan.add_argument(
-        "--frame",
-        default="",
-        metavar="FRAME",
-        help="with --pose: link of the robot or tf frame of the pose [the robot's base]",
-    )
-    plan.add_argument(
-        "--configuration", default="", metavar="WORDS", help='with --pose, without --line: e.g. "front up positive"'
-    )
+    frame = "with --pose: link of the robot or tf frame of the pose [the robot's base]"
+    plan.add_argument("--frame", default="", metavar="FRAME", help=frame)
+    configuration = 'with --pose, without --line: e.g. "front up positive"'
+    plan.add_argument("--configuration", default="", metavar="WORDS", help=configuration)
     plan.add_argument("--tool-speed", type=_positive, metavar="MM_S", help="with --line: speed of the tool [mm/s]")
     _add_pace(plan)
 
 
 def _add_pace(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--speed", type=_fraction, metavar="PERCENT", help="fraction of the velocity limits [the planner's]"
-    )
+    speed = "fraction of the velocity limits [the planner's]"
+    command.add_argument("--speed", type=_fraction, metavar="PERCENT", help=speed)
     command.add_argument("--duration", type=_positive, metavar="S", help="duration [as short as the speed allows]")
 
 
 def _add_reviewer(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "plan_id", nargs="?", default="", help="id of the plan, or its beginning [the one under review]"
-    )
+    which = "id of the plan, or its beginning [the one under review]"
+    command.add_argument("plan_id", nargs="?", default="", help=which)
     command.add_argument("--reviewer", default="", metavar="NAME", help="who decides [the user's name]")
     command.add_argument("--reason", default="", metavar="TEXT", help="kept with the verdict")
 
@@ -157,11 +124,8 @@ def add_approve(approve: argparse.ArgumentParser) -> None:
     _add_reviewer(approve)
     approve.add_argument("--yes", action="store_true", help="do not ask")
     approve.add_argument("--wait", action="store_true", help="wait until the motion has ended")
-    approve.add_argument(
-        "--override-rehearsal",
-        action="store_true",
-        help="although its rehearsal is required, and missing or no pass; give --reason too",
-    )
+    override = "although its rehearsal is required, and missing or no pass; give --reason too"
+    approve.add_argument("--override-rehearsal", action="store_true", help=override)
 
 
 def check(options: argparse.Namespace) -> str:

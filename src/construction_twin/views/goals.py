@@ -35,10 +35,9 @@ def pose_goal(values: Sequence[float], frame: str = "") -> Pose:
     # in a frame on the tool or on an element a few mm are a goal like any other
     if frame.rpartition("/")[2] in _STANDING and 0.0 < max(abs(x), abs(y), abs(z)) < NEAR_MM:
         given = f"{x:g} {y:g} {z:g}"
-        raise ConfigurationError(
-            "--pose",
-            given,
+        expected = (
             f"X, Y, Z in mm: this is inside of the robot's foot, less than {NEAR_MM:g} mm from the origin "
-            f"of {frame or 'its base'}, and probably in metres. If so, give {x * 1e3:g} {y * 1e3:g} {z * 1e3:g}",
+            f"of {frame or 'its base'}, and probably in metres. If so, give {x * 1e3:g} {y * 1e3:g} {z * 1e3:g}"
         )
+        raise ConfigurationError("--pose", given, expected)
     return Pose(np.array((x, y, z)) / 1e3, abc_to_rotation(*map(math.radians, angles)))

@@ -1,7 +1,4 @@
-"""What a reviewer sees of a plan before approving it: a ghost that plays it, and what a work plan does to the objects.
-
-Pure; joint values in rad (m for a prismatic joint), times in s on any monotonic clock.
-"""
+"""What a reviewer sees of a plan: a ghost that plays it, and what a work plan does to the objects. Pure; rad, m, s."""
 
 from __future__ import annotations
 

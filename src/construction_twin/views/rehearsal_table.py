@@ -13,7 +13,6 @@ from construction_twin.review.rehearsal_report import PASSED, AxisLoad, Rehearsa
 
 #: Behind a number that is an estimate.
 ESTIMATE = "~"
-_STYLES = {PASSED: "bold green"}
 
 
 def worst_axis(report: RehearsalReport) -> AxisLoad | None:
@@ -75,7 +74,7 @@ def rehearsal_lines(report: RehearsalReport) -> list[str]:
 
 def rehearsal_table(report: RehearsalReport) -> Group:
     """Return all of it, for a rich console."""
-    style = _STYLES.get(report.state, "bold red")
+    style = "bold green" if report.state == PASSED else "bold red"
     parts: list[Text | Table] = [Text(headline(report), style=style)]
     if report.axes:
         table = Table(box=box.SIMPLE, caption=f"{ESTIMATE} an estimate", caption_justify="left")

@@ -1,7 +1,4 @@
-"""The status line that a foreman reads: what the arm does, why it holds, what is waited for, by whom, and what to do.
-
-One table has the words of every state; the reasons are those of the nodes.
-"""
+"""The status line that a foreman reads: what the arm does, why it holds, what is waited for, by whom, and what to do."""
 
 from __future__ import annotations
 
@@ -297,9 +294,8 @@ def status_lines(reports: ReportsNow) -> list[Line]:
         lines.append(_start(reports.missing))
     if reports.arm:
         link = reports.link or Word("", "")
-        lines.append(
-            _line("link", "NEEDS_NAME" if reports.bare and link.state == "NEEDS_RESET" else link.state, link.reason)
-        )
+        state = "NEEDS_NAME" if reports.bare and link.state == "NEEDS_RESET" else link.state
+        lines.append(_line("link", state, link.reason))
     sync = reports.sync or Word("", "")
     lines.append(_line("sync", sync.state, sync.reason))
     lines.append(_execution(reports))
@@ -357,14 +353,6 @@ def _line(topic: str, state: str, reason: str) -> Line:
 
 def _said(topic: str, state: str, words: Words, reason: str) -> Line:
     sentence = Sentence("{sentence}: {reason}", sentence=words.sentence, reason=reason) if reason else words.sentence
-    return Line(
-        topic=topic,
-        state=state,
-        level=int(words.level),
-        sentence=sentence,
-        waits_for=words.waits_for,
-        who=words.who,
-        todo=words.todo,
-        page=words.page,
-        said=told(sentence, words.waits_for, words.todo),
-    )
+    alike = {name: getattr(words, name) for name in ("waits_for", "who", "todo", "page")}
+    said = told(sentence, words.waits_for, words.todo)
+    return Line(topic=topic, state=state, level=int(words.level), sentence=sentence, said=said, **alike)

@@ -26,10 +26,9 @@ READY = {"link": "ARMED", "sync": "IN_SYNC", "execution": "IDLE"}
 
 @dataclass(frozen=True)
 class Snapshot:
-    """One robot at a time `now` [s]; `silent`: for how long ``link``, ``sync``, ``execution`` have been silent [s], if too long."""
+    """One robot at one moment; `silent`: for how long ``link``, ``sync``, ``execution`` have been silent [s], if too long."""
 
     robot: str
-    now: float
     joints: tuple[str, ...]
     linear: tuple[bool, ...]
     link: LinkReport | None = None
@@ -72,9 +71,8 @@ def plan_lines(plan: Plan, linear: Sequence[bool], changes: Sequence[SceneChange
     """Return the lines about a plan that a reviewer needs; `changes`: what a work plan's segments do to the scene."""
     trajectory = plan.trajectory
     names = trajectory.joint_names
-    goal = ", ".join(
-        f"{name} {joint_value(value, line)}" for name, value, line in zip(names, trajectory.positions[-1], linear)
-    )
+    values = map(joint_value, trajectory.positions[-1], linear)
+    goal = ", ".join(f"{name} {value}" for name, value in zip(names, values))
     return [
         f"plan       {plan.id}",
         f"hash       {plan.hash}",
@@ -143,11 +141,8 @@ def _fractions(plan: Plan) -> str:
 
 def scene_lines(scene: Scene) -> list[str]:
     """Return a scene's version and padding, then one line for each object: shape, size, where it stands, what it may touch."""
-    lines = [
-        f"version    {scene.hash[:12]}",
-        f"padding    {scene.padding * 1e3:g} mm",
-        f"objects    {len(scene.objects) or 'none'}",
-    ]
+    lines = [f"version    {scene.hash[:12]}", f"padding    {scene.padding * 1e3:g} mm"]
+    lines.append(f"objects    {len(scene.objects) or 'none'}")
     for item in scene.objects:
         size = " x ".join(f"{value:g}" if item.shape == "mesh" else f"{value * 1e3:g}" for value in item.size)
         place = " ".join(f"{value * 1e3:.0f}" for value in item.position)
@@ -230,12 +225,8 @@ def under_review(plan: Plan | None) -> str:
     """Return one line about the plan under review."""
     if plan is None:
         return "no plan waits"
-    if plan.segments:
-        return (
-            f"work plan {plan.id} of {len(plan.segments)} segments and {plan.trajectory.duration:.1f} s "
-            f"for {plan.source} waits for approval"
-        )
-    return f"plan {plan.id} of {plan.trajectory.duration:.1f} s for {plan.source} waits for approval"
+    kind = f"work plan {plan.id} of {len(plan.segments)} segments and" if plan.segments else f"plan {plan.id} of"
+    return f"{kind} {plan.trajectory.duration:.1f} s for {plan.source} waits for approval"
 
 
 def waiting_plan(plan: Plan) -> str:

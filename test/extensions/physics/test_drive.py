@@ -5,7 +5,7 @@ import yaml
 from physics_samples import DRIVES, drives, robot_of
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.extensions.physics.drive import drives_of, load_drives
+from construction_twin.extensions.physics.drive import drives_of, read_drives
 
 CONTENT = yaml.safe_load(DRIVES.read_text())
 
@@ -49,9 +49,10 @@ def test_the_file_of_the_kr120_is_read_in_the_order_of_its_joints():
         ("estimates", ["torque", "mass of the links"]),
     ],
 )
-def test_a_wrong_file_is_refused_with_file_and_key(path, value):
+def test_a_wrong_file_is_refused_with_file_and_key(tmp_path, path, value):
+    (file := tmp_path / "drives.yaml").write_text(yaml.safe_dump(changed(path, value)))
     with pytest.raises(ConfigurationError) as refusal:
-        load_drives(changed(path, value), robot_of("kr120"), "drives.yaml")
+        read_drives(file, robot_of("kr120"))
     assert "drives.yaml" in str(refusal.value)
     assert path.split("/")[0] in str(refusal.value)
 

@@ -44,7 +44,7 @@ def drive(*servos: JointServo, targets=None) -> Drive:
     ids=["plain", "delay", "feed-forward", "backlash", "all"],
 )
 def test_what_was_built_in_is_found_again(servo):
-    (found,) = identify(("a",), [drive(servo)], CYCLE_NS).joints
+    (found,) = identify(("a",), [drive(servo)], CYCLE_NS)
     assert found.residual_rms < 0.5 * STEP and found.residual_max < 3.0 * STEP
     # parameters may stand for each other; what the arm does may not differ
     assert found.servo.lag(CYCLE) == pytest.approx(servo.lag(CYCLE), abs=2e-4)
@@ -55,7 +55,7 @@ def test_what_was_built_in_is_found_again(servo):
 
 
 def test_what_does_not_show_is_not_taken_in():
-    (found,) = identify(("a",), [drive(JointServo(60.0, 0.8))], CYCLE_NS).joints
+    (found,) = identify(("a",), [drive(JointServo(60.0, 0.8))], CYCLE_NS)
     assert set(found.deviations) == {"omega", "zeta"}
     assert found.servo == JointServo(pytest.approx(60.0, rel=1e-3), pytest.approx(0.8, rel=1e-3))
 
@@ -79,10 +79,10 @@ def test_a_lag_that_cannot_be_told_is_refused():
 def test_the_file_gives_back_what_was_found(tmp_path):
     found = identify(("a", "b"), [drive(JointServo(60.0, 0.8), JointServo(50.0, 1.0, 1.5))], CYCLE_NS)
     path = tmp_path / "servos.yaml"
-    path.write_text(servo_file(found.joints, found.cycle_ns, "run.bag"))
+    path.write_text(servo_file(found, CYCLE_NS, "run.bag"))
     model = read_servos(path, ("b", "a"))
     assert model.names == ("b", "a") and model.cycle_ns == CYCLE_NS
-    for joint in found.joints:
+    for joint in found:
         servo = model.servos[model.names.index(joint.name)]
         assert response(servo, motion(), CYCLE) == pytest.approx(response(joint.servo, motion(), CYCLE), abs=1e-7)
 

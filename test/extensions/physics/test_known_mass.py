@@ -4,7 +4,7 @@ import pytest
 from physics_samples import bodies_of, robot_of
 
 from construction_twin.extensions.physics.known_mass import body_of, masses_of
-from construction_twin.extensions.physics.rigid_bodies import rigid_bodies
+from construction_twin.extensions.physics.rehearsal import rigid_bodies
 from construction_twin.scene.objects import Scene, SceneObject
 
 TIP = robot_of("kr120").tip_link

@@ -1,4 +1,5 @@
 import math
+from types import SimpleNamespace
 
 import coal
 import numpy as np
@@ -8,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.extensions.physics.mass import LEAST_MASS, of_link, of_shape, together
+from construction_twin.extensions.physics.mass import LEAST_MASS, MassProperties, of_link, of_shape, together
 
 SIZES = st.tuples(*[st.floats(0.02, 3.0)] * 3)
 
@@ -68,15 +69,22 @@ def sum_of(inertias: list[pinocchio.Inertia]) -> pinocchio.Inertia:
     return total
 
 
-def test_a_link_of_which_nobody_says_a_mass_is_estimated_from_its_shapes():
-    shape = of_shape(coal.Sphere(0.1))
-    assert of_link("a", pinocchio.Inertia.Zero(), [shape]).mass == pytest.approx(shape.mass)
-    assert of_link("a", pinocchio.Inertia.Zero(), []).mass == LEAST_MASS
-    assert of_link("a", pinocchio.Inertia(3.0, np.zeros(3), np.eye(3)), [shape]).mass == 3.0
+def link(inertia: pinocchio.Inertia, *shapes: coal.CollisionGeometry, name: str = "a") -> MassProperties:
+    """Return what a link is taken for that has this inertia in its URDF, and these shapes."""
+    bodies = [SimpleNamespace(joint=1, geometry=shape, placement=pinocchio.SE3.Identity()) for shape in shapes]
+    model = SimpleNamespace(names=["universe", name], inertias=[None, inertia])
+    return of_link(SimpleNamespace(model=model, bodies=bodies), 1)[0]
+
+
+def test_a_link_of_unknown_mass_is_estimated_from_its_shapes():
+    ball = coal.Sphere(0.1)
+    assert link(pinocchio.Inertia.Zero(), ball).mass == pytest.approx(of_shape(ball).mass)
+    assert link(pinocchio.Inertia.Zero()).mass == LEAST_MASS
+    assert link(pinocchio.Inertia(3.0, np.zeros(3), np.eye(3)), ball).mass == 3.0
 
 
 def test_an_inertia_that_no_body_has_is_refused_with_its_link():
     with pytest.raises(ConfigurationError) as refusal:
-        of_link("forearm", pinocchio.Inertia(3.0, np.zeros(3), np.diag((1.0, 1.0, 3.0))), [])
+        link(pinocchio.Inertia(3.0, np.zeros(3), np.diag((1.0, 1.0, 3.0))), name="forearm")
     assert "principal moments" in refusal.value.expected
     assert "forearm" in str(refusal.value)

@@ -24,11 +24,12 @@ def build():
 def test_its_models_are_those_of_this_process(build):
     for scene in (FLOOR, carrying(0.3)):
         here, there = LiveTwin(), LiveTwin()
-        here.take_model(model_in(scene)), there.take_model(build(scene))
+        own, other = model_in(scene), build(scene)
+        here.take_model(own), there.take_model(other)
         for share in np.linspace(0.0, 0.1, 50):
             commanded = tuple(np.array(ROBOT.home) + share)
             assert here.cycle(commanded) == there.cycle(commanded)
-        assert here.remarks == there.remarks and here.effort == there.effort
+        assert own.remarks == other.remarks and here.effort == there.effort
 
 
 def test_a_scene_that_cannot_be_built_is_a_sentence_and_the_next_one_is_built(build):

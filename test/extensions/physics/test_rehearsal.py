@@ -1,5 +1,4 @@
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import coal
@@ -246,22 +245,24 @@ def held(item: SceneObject) -> SceneObject:
     return replace(item, link=TIP, position=(0.0, 0.0, 0.15), touch=("table",))
 
 
-def watched(*names: str) -> tuple[list[np.ndarray], Callable[[float, SimulatedArm], None]]:
-    """Return where objects are in every cycle of a rehearsal, which has to be given the other: shape (objects, 3) [m]."""
-    places: list[np.ndarray] = []
+def watched(monkeypatch, *names: str) -> list[np.ndarray]:
+    """Return a list that gets the places of objects after each cycle of an arm that is simulated."""
+    places, steps = [], SimulatedArm.steps
 
-    def watch(_time: float, arm: SimulatedArm) -> None:
+    def watching(arm, setpoint):
+        yield from steps(arm, setpoint)
         places.append(arm.data.geom_xpos[[arm.physics.owners.index(name) for name in names]].copy())
 
-    return places, watch
+    monkeypatch.setattr(SimulatedArm, "steps", watching)
+    return places
 
 
 @pytest.mark.parametrize("taken", ["stock/1", "stock/2"])
-def test_of_objects_with_like_names_the_one_that_stays_does_not_move(taken):
+def test_of_objects_with_like_names_the_one_that_stays_does_not_move(monkeypatch, taken):
     table, *items = stack(("stock/1", "stock/2"), taken)
     (stays,) = [item for item in items if item.name != taken]
     (goes,) = [item for item in items if item.name == taken]
-    places, watch = watched(stays.name)
+    places = watched(monkeypatch, stays.name)
     scenes = [Scene((table, *items)), Scene((table, held(goes), stays)), Scene((table, stays, goes))]
     motion = between(READY, READY, 1.0)
     segments = tuple(
@@ -270,7 +271,7 @@ def test_of_objects_with_like_names_the_one_that_stays_does_not_move(taken):
     )
     rehearsal = Rehearsal(bodies_of("kr120"), pairs_of("kr120"), drives(), masses={"stock/1": 2.0, "stock/2": 3.0})
     plan = plan_of(motion, scenes[0], segments)
-    report = rehearsal.of_plan(plan, {scene.hash: scene for scene in scenes}, lambda: 0.0, watch)
+    report = rehearsal.of_plan(plan, {scene.hash: scene for scene in scenes}, lambda: 0.0)
     assert report.state == PASSED, report.reasons
     assert np.abs(np.array(places) - places[0]).max() < 1e-3
     # what is let go beside it is a body of its own, with its full name

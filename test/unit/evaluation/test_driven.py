@@ -29,7 +29,7 @@ def test_the_mocks_servo_is_found_from_what_a_bag_holds(run):
     assert cycle_of(run) == CYCLE_NS
     drives = drives_of(run, CYCLE_NS)
     assert sum(len(drive.targets) for drive in drives) > 1000
-    for joint in identify(run.joint_names, drives, CYCLE_NS).joints:
+    for joint in identify(run.joint_names, drives, CYCLE_NS):
         assert joint.servo.lag(CYCLE) == pytest.approx(2 * 0.8 / 60.0 - CYCLE / 2, abs=1e-4)
         assert joint.residual_max < 2e-5 and joint.residual_rms < 1e-5
 
@@ -59,7 +59,7 @@ def test_rows_at_a_closed_gate_are_not_judged(run):
 def test_a_recording_without_commands_or_stamps_is_refused(run):
     for lacking in (replace(run, command=None), replace(run, feedback=None)):
         with pytest.raises(ConstructionTwinError):
-            drives_of(lacking, CYCLE_NS)
+            identify(run.joint_names, drives_of(lacking, CYCLE_NS), CYCLE_NS)
     none = replace(run.feedback, command_stamps=np.zeros_like(run.feedback.command_stamps))
     with pytest.raises(ConstructionTwinError):
         cycle_of(replace(run, feedback=none))

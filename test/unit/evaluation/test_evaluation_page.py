@@ -12,7 +12,7 @@ from evaluation_samples import BASE, link, run
 from construction_twin.evaluation.recording import StateChange
 from construction_twin.evaluation.report import MOST_CHANGES, page
 from construction_twin.evaluation.summary import evaluate, summarise
-from construction_twin.evaluation.tables import ALIGNMENTS, ARM_NOT_TOLD
+from construction_twin.evaluation.tables import ALIGNMENTS, ARM_UNKNOWN
 
 PNG = b"\x89PNG not a real picture"
 EVIL = "\"><script>alert(1)</script><b a='&"
@@ -98,7 +98,7 @@ def test_page_holds_tables_timing_and_what_happened(full):
 
 def test_page_of_a_recording_that_does_not_tell_the_arm_says_so():
     recording = run()
-    assert ARM_NOT_TOLD in Reader(page(summary_of(recording), recording, {})).text
+    assert ARM_UNKNOWN in Reader(page(summary_of(recording), recording, {})).text
 
 
 def test_page_of_a_recording_that_tells_little():

@@ -113,8 +113,8 @@ def test_printed_tables_follow_the_figures(full_summary):
 def test_every_summary_says_whether_the_arm_was_simulated_or_that_the_recording_does_not(full_summary):
     without = summarise(evaluate(run()))
     assert tables.remarks(full_summary) == [tables.SIMULATION]
-    assert tables.remarks(without) == [tables.ARM_NOT_TOLD]
-    assert tables.ARM_NOT_TOLD in printed(without).replace("\n", " ")
+    assert tables.remarks(without) == [tables.ARM_UNKNOWN]
+    assert tables.ARM_UNKNOWN in printed(without).replace("\n", " ")
 
 
 def test_figures_of_a_recording_in_which_nothing_moved_are_said_to_be_none_of_a_motion(full_summary):

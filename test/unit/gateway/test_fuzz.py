@@ -1,4 +1,4 @@
-"""Hostile messages and telegrams at a running gateway; `make fuzz` sends a million of each.
+"""Hostile messages and telegrams at a running gateway; `make test ARGS=fuzz` sends a million of each.
 
 The gateway is a process of its own, broker and UDP are real, and no reply may move the arm. What is sent is sent in pieces, and a
 marker after each: when the gateway has answered it, everything before was handled, so that UDP and QoS 0 drop nothing and every

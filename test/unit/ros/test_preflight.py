@@ -91,6 +91,7 @@ def test_what_the_package_ships_is_fine(words):
         ("gateway_kind:=plc track:=true", "gateway_kind: found 'plc', expected rsi with track:=true"),
         ("console:=true arm:=none", "console: found True, expected false with arm:=none"),
         ("console:=/no/console.yaml", "/no/console.yaml"),
+        ("gui:=maker", "gui: found 'maker', expected true or false or marker"),
         ("gateway:=true rsi_listen:=0.0.0.0", "--controller: found '', expected the controller's address"),
         ("gateway:=true gateway_trace:=/no/a.trace", "--trace: found '/no/a.trace', expected "),
         ("work_model:=/no/such.ifc", "work_model: found '/no/such.ifc', expected the absolute path of a file"),
@@ -148,7 +149,7 @@ def test_broken_contents_are_one_sentence_with_what_was_expected(tmp_path, name,
         ("drives", "axes: 3", "expected "),
         ("drives", None, ""),
     ],
-)  # fmt: skip
+)
 def test_what_lies_beside_the_robot_yaml_is_checked(tmp_path, name, text, sentence):
     for each in ("kr120", "kr120_self_collision", "kr120_drives"):
         shutil.copy(ROOT / f"config/{each}.yaml", tmp_path)

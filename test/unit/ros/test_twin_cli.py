@@ -15,12 +15,15 @@ import rosgraph
 import rospy
 import yaml
 from construction_twin.msg import Rehearsal
+from launch_files import parameters
 from ros_master import ros_master
 
 from construction_twin.core.errors import ConfigurationError, SilenceError
+from construction_twin.gateway.config import load_config
 from construction_twin.review.rehearsal_report import FAILED, RehearsalReport, finished
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.commands import twin as twin_cli
+from construction_twin.ros.commands.preflight import LaunchParameters
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.views.arguments import Exit, parser
@@ -126,3 +129,14 @@ def test_an_override_is_of_the_result_that_was_printed_before_it_was_asked(monke
     assert (verdict.override_rehearsal, verdict.plan_hash) == (True, "h")
     assert verdict.rehearsal_hash == (finished(report, 0.1).hash if seen else "")
     assert ("link_5 touches wall" in printed) == bool(seen) and ("was not rehearsed yet" in printed) != bool(seen)
+
+
+def test_the_gateway_s_configuration_is_written_for_the_cell_pc(monkeypatch, tmp_path, capsys):
+    values = parameters("bringup")
+    monkeypatch.setattr(twin_cli.rospy, "get_param", LaunchParameters(values, "/kr120/twin").get_param)
+    monkeypatch.setattr(twin_cli, "OperatorClient", lambda *_: None)
+    file = tmp_path / "kr120_gateway.json"
+    assert twin_cli.Command(parser("kr120").parse_args(["gateway", str(file)])).run() is Exit.DONE
+    config = load_config(str(file))
+    said = capsys.readouterr().out
+    assert said.startswith(f"{file}: configuration {config.hash[:12]} of kr120, 3 decimals; RSI on UDP port 49152, ")

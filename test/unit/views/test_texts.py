@@ -21,7 +21,7 @@ READY = {
 
 def snapshot(**facts) -> Snapshot:
     robot = kr120()
-    return Snapshot("kr120", 105.0, robot.joint_names, robot.linear, **facts)
+    return Snapshot("kr120", robot.joint_names, robot.linear, **facts)
 
 
 def test_ready_only_when_a_plan_could_be_approved():

@@ -1,11 +1,8 @@
 """A simulated arm: a servo per axis that calculates the torque its motion needs, stepped by MuJoCo. Joints as in `PhysicsModel`.
 
-The servo's answer to a setpoint is that of the mock controller's realistic servo, a lag of second order, exactly discretised, but
-for one thing: between two setpoints the drives interpolate. A held setpoint jumps every 4 ms, and so would the torque, to several
-times what the motion takes. It costs half a cycle: the arm is 2 ms later than the mock's. The torque that makes the arm follow this
-answer is calculated from the model (gravity, inertia, friction, what is carried), plus a stiff correction for what the model does
-not know: a contact. Only the first part is what a motion needs: the correction of an arm that something holds grows as far as the
-drives let it.
+The servo answers a setpoint as the mock controller's realistic servo, a lag of second order, but between two setpoints the drives
+interpolate: a setpoint that jumps every 4 ms would ask for several times the torque. It costs half a cycle. The torque is that of
+the model, which a motion needs, plus a stiff correction for what the model lacks: a contact.
 """
 
 from __future__ import annotations
@@ -43,10 +40,9 @@ class Servo:
     """How the axes answer.
 
     Attributes:
-        omega, zeta: Of the lag [rad/s], [1]; omega 0: none, the arm is where it is told to be.
-        saturates: An axis gives no more than its torque; False: what it needs is applied, whatever that is.
-        holds: A setpoint stands for its whole cycle, as the mock's servo has it; False: the drives go to it in a straight line from
-            the one before, which takes 2 ms longer and has no jumps of torque.
+        omega, zeta: Of the lag [rad/s], [1]; omega 0: none.
+        saturates: An axis gives at most its torque.
+        holds: A setpoint stands for its whole cycle, as the mock's servo has it; False: the drives interpolate.
     """
 
     omega: float = OMEGA
@@ -61,13 +57,11 @@ class SimulatedArm:
     Args:
         q: Shape (n,). Where the arm stands at rest [rad], [m].
 
-    Attributes:
-        data: MuJoCo's state.
-        needed: Shape (n,). Torque that the motion needed in the last step, without the correction [N m], [N].
-        torque: Shape (n,). What the axes gave, with the correction [N m], [N].
-        answer: Shape (n,). Where the servo's lag alone would have the arm now [rad], [m].
-        setpoint: Shape (n,). The last one [rad], [m].
-        push: Shape (n,). Torques of something else on the axes, which the servo knows nothing of [N m], [N].
+    Attributes (of shape (n,), SI):
+        needed: Torque that the motion needed in the last step, without the correction.
+        torque: What the axes gave, with the correction.
+        answer: Where the servo's lag alone would have the arm now.
+        push: Torques of something else on the axes, unknown to the servo.
     """
 
     def __init__(self, physics: PhysicsModel, q: JointValues, servo: Servo = Servo()):
@@ -103,7 +97,7 @@ class SimulatedArm:
 
     def freeze(self, joint: int, position: float) -> None:
         """Put one joint at rest at `position` [rad], [m], in the arm and in the servo's answer; the others go on."""
-        place = np.arange(self._model.nv)[self._joints][joint]
+        place = self._joints[joint]
         self.answer[joint], self._speed[joint] = position, 0.0
         self.data.qpos[place], self.data.qvel[place] = position, 0.0
         self.physics.follow(self.data)
@@ -116,7 +110,7 @@ class SimulatedArm:
         self.physics.follow(self.data)
 
     def speeds_of(self, body: str) -> np.ndarray:
-        """Return where the speed of a loose body is among MuJoCo's: integers, shape (6,)."""
+        """Return where the speed of a loose body is among MuJoCo's, shape (6,)."""
         return int(self._model.jnt_dofadr[self._model.joint(f"free\n{body}").id]) + np.arange(6)
 
     def loose_state(self, body: str) -> tuple[np.ndarray, np.ndarray]:
@@ -144,8 +138,7 @@ class SimulatedArm:
     def follow(self, answers: np.ndarray, speeds: np.ndarray, accelerations: np.ndarray) -> Iterator[None]:
         """Advance one step of the simulation per row, and yield after each.
 
-        `answers`, `speeds`, `accelerations`: Shape (steps, n). Where the servo has the arm at the end of each step, how fast, and
-        the acceleration during it.
+        All of shape (steps, n): where the servo has the arm at the end of a step, how fast, and the acceleration during it.
         """
         rubbing = self._damping * speeds + self._friction * np.minimum(np.maximum(speeds / CREEPING, -1.0), 1.0)
         for answer, speed, acceleration, friction in zip(answers, speeds, accelerations, rubbing):
@@ -170,10 +163,10 @@ class SimulatedArm:
 
 
 def _course(servo: Servo, step: float) -> np.ndarray:
-    """Return how a cycle goes: position, speed and acceleration at the end of each step, shape (3, steps, 3).
+    """Return position, speed and acceleration at the end of each step of a cycle, shape (3, steps, 3).
 
-    The last axis are factors of where the answer is before the cycle, of its speed, and of the new setpoint; positions count from
-    the setpoint of the cycle before.
+    The last axis are factors of the answer before the cycle, of its speed, and of the new setpoint; positions count from the
+    setpoint before.
     """
     steps = max(1, round(CYCLE / step))
     lag = transition_matrix(servo.omega, servo.zeta, step) if servo.omega else None
@@ -193,7 +186,7 @@ def _course(servo: Servo, step: float) -> np.ndarray:
 
 
 class GravityTorque:
-    """Torques that hold the arm still where it is, and its kinetic energy; in a state of its own."""
+    """Torques that hold the arm still where it is, and its kinetic energy."""
 
     def __init__(self, physics: PhysicsModel):
         self._physics = physics
@@ -224,22 +217,17 @@ def is_broken(data: mujoco.MjData) -> bool:
 
 
 def bare_model(bodies: RobotBodies, drives: ArmDrives, flange: MassProperties | None = None) -> PhysicsModel:
-    """Return the model of an arm with nothing around it; `flange`: a payload in the frame of the tip link; None: none."""
+    """Return the model of an arm with nothing around it; `flange`: a payload in the frame of the tip link."""
     return build_model(bodies, Scene(), SelfCollision({}, ""), drives, Load(flange=flange), contacts=False)
 
 
 class Plant:
-    """An arm in empty space that is told setpoints, and can be pushed: what the mock controller moves.
-
-    `omega`, `zeta`: Of the servo's lag [rad/s], [1].
-    """
+    """An arm in empty space that can be pushed: what the mock controller moves; `omega`, `zeta` as in `Servo`."""
 
     def __init__(self, model: PhysicsModel, omega: float, zeta: float):
-        self._model = model
-        self._servo = Servo(omega, zeta, holds=True)
-        count = len(model.drives.torque)
-        self._push = np.zeros(count)
-        self._arm = self._arm_at(np.zeros(count))
+        self._model, self._servo = model, Servo(omega, zeta, holds=True)
+        self._push = np.zeros(len(model.drives.torque))
+        self.place(np.zeros(len(self._push)))
 
     @property
     def q(self) -> np.ndarray:
@@ -247,8 +235,9 @@ class Plant:
         return self._arm.q
 
     def place(self, q: JointValues) -> None:
-        """Stand at rest at `q`, shape (n,)."""
-        self._arm = self._arm_at(np.asarray(q, dtype=float))
+        """Stand at rest at `q`, shape (n,), pushed as before."""
+        self._arm = SimulatedArm(self._model, np.asarray(q, dtype=float), self._servo)
+        self._arm.push = self._push
 
     def hold(self, joint: int, position: float) -> None:
         """Put one joint at rest at `position` [rad], [m]; the others go on."""
@@ -262,9 +251,3 @@ class Plant:
         """Advance so many cycles of 4 ms to a setpoint, shape (n,)."""
         for _ in range(cycles):
             self._arm.cycle(setpoint)
-
-    def _arm_at(self, q: np.ndarray) -> SimulatedArm:
-        """Return an arm at rest, pushed as the one before."""
-        arm = SimulatedArm(self._model, q, self._servo)
-        arm.push = self._push
-        return arm

@@ -1,7 +1,6 @@
 """What drives the axes: torques they can give, inertias of their motors, friction, and how much the arm may carry. SI.
 
-Torque limits are the URDF's ``effort``; the rest a file of the arm says (config/kr120_drives.yaml), each number with its source, or
-that it is an estimate. What no file says is zero, and named.
+Torque limits are the URDF's ``effort``; the rest is in a file of the arm (config/kr120_drives.yaml), or zero.
 """
 
 from __future__ import annotations
@@ -28,10 +27,9 @@ class _Strict(pydantic.BaseModel):
 
 
 class PayloadRating(_Strict):
-    """What the arm may carry at its flange, with its source; None: not known.
+    """What the arm may carry at its flange; None: unknown.
 
     Attributes:
-        inertia_kg_m2: Largest moment of inertia of the load at the flange.
         across_m, along_m: How far the load's centre of mass may be from the flange, across the last axis and along it.
     """
 
@@ -47,13 +45,12 @@ class ArmDrives:
     """The drives of an arm, in the order of ``robot.joint_names``.
 
     Attributes:
-        torque: Length n. What an axis can give [N m], of a linear one [N]; None: nobody says.
-        armature: Length n. Inertia of motor and gear, seen from the axis [kg m^2], [kg].
-        damping: Length n. Friction that grows with speed [N m s/rad], [N s/m].
-        friction: Length n. Friction at any speed [N m], [N].
-        rating: None: nobody says.
+        torque: What an axis can give [N m], of a linear one [N]; None: unknown.
+        armature: Inertia of motor and gear, seen from the axis [kg m^2], [kg].
+        damping: Friction that grows with speed [N m s/rad], [N s/m].
+        friction: Friction at any speed [N m], [N].
         source: Where the torques are from.
-        estimates: What is an estimate: keys of the file, `torque` also where it is the URDF's effort; `link_masses`: the URDF's.
+        estimates: Keys of the file that are estimates, `torque` also where it is the URDF's effort; `link_masses`: the URDF's.
     """
 
     torque: tuple[float | None, ...]
@@ -63,6 +60,12 @@ class ArmDrives:
     rating: PayloadRating | None
     source: str
     estimates: tuple[str, ...]
+
+    @property
+    def remarks(self) -> list[str]:
+        """What is an estimate, as a sentence; empty: nothing is."""
+        keys = ", ".join(self.estimates).replace("_", " ")
+        return [f"of the arm these are estimates: {keys}; torques: {self.source}"] if keys else []
 
 
 class _Axis(_Strict):
@@ -84,20 +87,18 @@ class _DrivesFile(_Strict):
 
 
 def drives_of(robot: RobotModel) -> ArmDrives:
-    """Return what the URDF alone says: its efforts, of which nobody knows whether they are a datasheet's."""
+    """Return what the URDF alone says: its efforts, as estimates."""
     zeros = (0.0,) * len(robot.joint_names)
     return ArmDrives(_efforts(robot), zeros, zeros, zeros, None, "URDF effort", ("torque", "armature", "friction"))
 
 
 def read_drives(path: str | Path, robot: RobotModel) -> ArmDrives:
     """Read the file of an arm's drives, see config/kr120_drives.yaml; no such file: what the URDF says."""
-    return load_drives(read_yaml(path), robot, str(path)) if Path(path).is_file() else drives_of(robot)
-
-
-def load_drives(content: object, robot: RobotModel, where: str) -> ArmDrives:
-    """Return the drives that a file's content describes; raises like `read_drives`, naming `where`."""
+    if not Path(path).is_file():
+        return drives_of(robot)
+    where = str(path)
     try:
-        read = _DrivesFile.model_validate(content)
+        read = _DrivesFile.model_validate(read_yaml(path))
     except pydantic.ValidationError as error:
         raise configuration_error(error, _DrivesFile, where) from error
     if set(read.joints) != set(robot.joint_names):

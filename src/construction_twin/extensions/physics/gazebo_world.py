@@ -1,7 +1,7 @@
 """The world of the twin in Gazebo 11 (SDF 1.7): the arm, what it carries and what stands around it, from the planner's records.
 
-The world is the root of the URDF's tree; SI. The arm's links are one body per joint; the links that no joint moves stand still. The
-plugin (gazebo/) moves the arm; it calculates with the chain that stands in its element, a text that `gazebo/arm_control.hpp` reads.
+The world is the root of the URDF's tree; SI. The plugin (gazebo/) moves the arm; it calculates with the chain that stands in its
+element, a text that `gazebo/arm_control.hpp` reads.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from construction_twin.extensions.physics.mass import (
     MassProperties,
     of_link,
     of_object,
-    of_shape,
     together,
 )
 from construction_twin.robot.packages import Packages
@@ -46,9 +45,8 @@ class GazeboWorld:
     """A world, and what it needs beside it.
 
     Attributes:
-        sdf: Its text.
         meshes: Files that it names, to be written into its folder: name and contents (STL).
-        remarks: What is simulated otherwise than the planner checks it, and what is an estimate, one sentence each.
+        remarks: What is an estimate, one sentence each.
     """
 
     sdf: str
@@ -57,12 +55,7 @@ class GazeboWorld:
 
 
 def world_of(bodies: RobotBodies, scene: Scene, drives: ArmDrives, folder: Path, priority: int = 0) -> GazeboWorld:
-    """Return the world of an arm in a scene.
-
-    Args:
-        folder: Where the meshes will be: absolute path.
-        priority: SCHED_FIFO of the thread that simulates, where permitted; 0: none.
-    """
+    """Return the world of an arm in a scene, its meshes in an absolute folder; `priority`: SCHED_FIFO, 0: none."""
     return _Builder(bodies, scene, drives, folder).build(priority)
 
 
@@ -77,7 +70,7 @@ def check_serial(bodies: RobotBodies) -> None:
 
 
 class _Builder:
-    """Builds one world; the order of its steps is that of `build`."""
+    """Builds one world, in the order of `build`."""
 
     def __init__(self, bodies: RobotBodies, scene: Scene, drives: ArmDrives, folder: Path):
         check_serial(bodies)
@@ -138,9 +131,7 @@ class _Builder:
         drive = self._drives
         each = zip(drive.torque, drive.armature, drive.damping, drive.friction)
         drives = dict(zip(self._bodies.robot.joint_names, each))
-        if self._drives.estimates:
-            keys = ", ".join(self._drives.estimates)
-            self._remarks.append(f"of the arm these are estimates: {keys}; torques: {self._drives.source}")
+        self._remarks += drive.remarks
         lines = [_numbers((0.0, 0.0, -GRAVITY))]
         before = "world"
         for index in range(1, model.njoints):
@@ -182,16 +173,10 @@ class _Builder:
 
     def _mass_of(self, index: int) -> MassProperties:
         """Return what a joint moves by itself: its link, and what is carried there."""
-        model = self._bodies.model
-        name = model.names[index]
-        own = [one for one in self._own if one.joint == index]
-        shapes = [of_shape(one.geometry).at(one.placement) for one in own if one.item is None]
-        parts = [of_link(name, model.inertias[index], shapes)]
-        if parts[0].estimated:
-            self._remarks.append(
-                f"the URDF gives no mass for what {name} moves; estimated from its shapes: {parts[0].mass:.1f} kg"
-            )
-        objects = (one for one in own if one.item is not None)
+        link, remarks = of_link(self._bodies, index)
+        self._remarks += remarks
+        parts = [link]
+        objects = (one for one in self._own if one.joint == index and one.item is not None)
         for owner, placed in itertools.groupby(objects, key=lambda one: one.owner):
             pieces = list(placed)
             part = of_object(pieces)

@@ -36,9 +36,8 @@ class SuctionGrip:
     """Cups that hold something.
 
     Attributes:
-        tip_T_tcp: Where the plane of the cups is, seen from the robot's tip link; z points to what is held.
+        tip_T_tcp: Plane of the cups in the robot's tip link; z points to what is held.
         cups: Shape (k, 2). Middle of each that holds, in that plane [m].
-        radius: Of a cup [m].
         holds: What one holds, safety factor included [N].
     """
 
@@ -71,8 +70,7 @@ class SuctionGrip:
     def usages(self, forces: np.ndarray, moments: np.ndarray) -> np.ndarray:
         """Return the fraction of what the cup that is loaded most holds, shape (N,).
 
-        `forces`, `moments`: Shape (N, 3). What the cups must exert on the workpiece, about the origin of the plane, in the axes of
-        the plane [N], [N m].
+        `forces`, `moments`: Shape (N, 3). What the cups must exert on the workpiece, about origin and axes of the plane [N], [N m].
         """
         points = (self.cups[:, None] + self.radius * _LIP).reshape(-1, 2)
         x, y = points.T
@@ -87,14 +85,7 @@ class SuctionGrip:
 
 
 class GripWatch:
-    """Notes what the cups must exert on a workpiece, cycle by cycle.
-
-    Args:
-        grip: The cups that lie on it.
-        name: Of the workpiece.
-        pieces: Names of its objects, which the arm carries.
-        joint: Name of the joint that carries the tip link; `joint_T_tip`: where the tip link is in its frame.
-    """
+    """Records what cups must exert on a workpiece, cycle by cycle; `pieces`: names of its objects, `joint`: that carries the tip."""
 
     def __init__(
         self,
@@ -116,7 +107,7 @@ class GripWatch:
         self._moments: list[np.ndarray] = []
 
     def note(self, time: float, data: mujoco.MjData) -> None:
-        """Take the last step, at `time` of the plan [s]: its accelerations, and the forces of what the workpiece touched."""
+        """Add the last step, at `time` of the plan [s]: its accelerations, and the forces of what the workpiece touched."""
         mujoco.mj_rnePostConstraint(self._model, data)
         moment, force = data.cfrc_int[self._pieces].sum(axis=0).reshape(2, 3)
         rotation = data.xmat[self._holder].reshape(3, 3)

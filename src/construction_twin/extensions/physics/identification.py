@@ -1,8 +1,7 @@
 """A servo's model from a recording: what targets the controller took, and where the arm was.
 
-A joint's model begins with two unknowns, frequency and damping. Delay, feed-forward and backlash are taken in one by one, each only
-where the recording says so: when it makes the residual so much smaller that the Bayesian information criterion falls. A parameter
-that the recording does not need is 0. Angles in rad, prismatic joints in m.
+A joint's model begins with frequency and damping. Delay, feed-forward and backlash are added one by one, while the Bayesian
+information criterion falls; a parameter that is left out is 0. Angles in rad, prismatic joints in m.
 """
 
 from __future__ import annotations
@@ -32,6 +31,7 @@ _OPTIONS = {
 }
 #: One more parameter must lower the sum of squares by so much, whatever the criterion says of many samples.
 _GAIN = 0.02
+NO_MOTION = "the recording holds no motion that begins at rest and answers commands as they were given"
 #: First guesses of frequency [rad/s].
 _GUESSES = (25.0, 60.0, 150.0)
 
@@ -41,9 +41,8 @@ class Drive:
     """A stretch of a recording without a gap, from rest: one row per cycle.
 
     Attributes:
-        targets: Shape (m, n). What the controller took [rad].
-        measured: Shape (m, n). Where the arm was at the end of the cycle [rad].
-        counts: Shape (m,), bool. Rows that may be judged: the others only drive.
+        targets, measured: Shape (m, n). What the controller took, and where the arm was at the end of the cycle [rad].
+        counts: Shape (m,). Rows that may be judged: the others only drive.
     """
 
     targets: np.ndarray
@@ -57,9 +56,8 @@ class IdentifiedJoint:
 
     Attributes:
         lag_error: Standard deviation of its lag [s].
-        deviations: Standard deviation of each parameter that was fitted, by its name, in its unit.
+        deviations: Standard deviation of each fitted parameter, in its unit.
         residual_rms, residual_max: Measured minus model [rad], [m].
-        samples: In motion.
     """
 
     name: str
@@ -68,27 +66,12 @@ class IdentifiedJoint:
     deviations: dict[str, float]
     residual_rms: float
     residual_max: float
-    samples: int
 
 
-@dataclass(frozen=True)
-class Identified:
-    """What was found of an arm.
-
-    Attributes:
-        cycle_ns: Of the controller [ns].
-    """
-
-    joints: tuple[IdentifiedJoint, ...]
-    cycle_ns: int
-
-
-def identify(names: Sequence[str], drives: Sequence[Drive], cycle_ns: int) -> Identified:
-    """Find the servo of every joint."""
+def identify(names: Sequence[str], drives: Sequence[Drive], cycle_ns: int) -> tuple[IdentifiedJoint, ...]:
+    """Find the servo of every joint; `cycle_ns`: of the controller [ns]."""
     if not drives or not sum(int(drive.counts.sum()) for drive in drives):
-        raise ConstructionTwinError(
-            "the recording holds no motion that begins at rest and answers commands as they were given"
-        )
+        raise ConstructionTwinError(NO_MOTION)
     period = cycle_ns / NANOSECONDS
     still = [name for joint, name in enumerate(names) if not _excited(drives, joint, period)]
     if still:
@@ -103,7 +86,7 @@ def identify(names: Sequence[str], drives: Sequence[Drive], cycle_ns: int) -> Id
             f"the lag of {', '.join(unsure)} is not known to {LAG_ERROR * 1e3:g} ms: record more and "
             "quicker motion of each joint"
         )
-    return Identified(found, cycle_ns)
+    return found
 
 
 def response(servo: JointServo, targets: np.ndarray, period: float) -> np.ndarray:
@@ -224,7 +207,6 @@ class _Fit:
             dict(zip(("omega", "zeta", *taken), spread.tolist())),
             rms,
             float(np.abs(residuals).max()),
-            self._count,
         )
 
 

@@ -1,4 +1,4 @@
-"""Bodies that are several objects of a scene, and the masses that somebody has said of them.
+"""Bodies that are several objects of a scene, and their known masses.
 
 A body is all objects whose names begin with the same part before a ``/``: ``tool/post`` and ``tool/frame``, or the convex pieces of
 an element of a building.
@@ -6,12 +6,15 @@ an element of a building.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Container, Iterable, Mapping
 from typing import TYPE_CHECKING
 
+from construction_twin.robot.tool import read_tool
 from construction_twin.scene.objects import Scene
 
 if TYPE_CHECKING:
+    from construction_twin.core.reports import TaskReport
     from construction_twin.scene.collision_bodies import RobotBodies
 
 #: The body of a tool's objects.
@@ -23,12 +26,22 @@ def body_of(name: str) -> str:
     return name.partition("/")[0]
 
 
+def element_masses(tasks: Iterable[TaskReport]) -> dict[str, float]:
+    """Return the masses that tasks say, by element [kg]."""
+    return {task.element: task.mass_kg for task in tasks if math.isfinite(task.mass_kg) and task.mass_kg > 0.0}
+
+
+def tool_mass(path: str) -> dict[str, float]:
+    """Return what a tool file says that the tool weighs [kg]; of no file nothing. Raises like `read_tool`."""
+    return {TOOL: read_tool(path).tool.mass} if path else {}
+
+
 def masses_of(
     known: Mapping[str, float], scenes: Iterable[Scene], bodies: RobotBodies, standing: Container[str] = ()
 ) -> dict[str, float]:
-    """Return the mass of each object that the arm carries in one of the scenes, by name [kg].
+    """Return the known masses of the objects that the arm carries in one of the scenes, and of those of `standing`, by name [kg].
 
-    A body's mass is divided as its objects' volumes are. Objects of which nobody says it are left out. `known`: Of bodies [kg].
+    A body's mass, `known` [kg], is divided as its objects' volumes are.
     """
     # nodes that only name bodies wait for no library of shapes
     from construction_twin.extensions.physics.mass import of_object

@@ -1,7 +1,6 @@
 """The twin with mass: one cycle of the simulated arm per command, in the scene of the moment. A `TwinBackend`.
 
-Pure: it knows no clock and no thread. Models are built elsewhere; `take_model` may be called from any thread, and the next cycle
-goes on in the new one. The same cycles in the same models give the same bytes.
+Models are built elsewhere; `take_model` may be called from any thread. The same cycles in the same models give the same bytes.
 """
 
 from __future__ import annotations
@@ -19,9 +18,9 @@ class LiveTwin:
     """An arm with mass that follows what is commanded; before the first model it is where it is told to be.
 
     Attributes:
-        effort: Length n. What the axes gave in the last step [N m], [N]; empty before the first model.
-        contacts: Pairs that touched at the end of the last cycle, which the planner would have refused; links and objects by name.
-        diverged: How often the state became useless and the arm was put at rest where it was commanded to be.
+        effort: What the axes gave in the last step [N m], [N]; empty before the first model.
+        contacts: Pairs of links and objects that touched at the end of the last cycle, and that the planner would have refused.
+        diverged: How often the state became useless and the arm was put at rest at the commanded pose.
     """
 
     def __init__(self, servo: Servo = Servo(holds=True)):
@@ -41,11 +40,6 @@ class LiveTwin:
             return "nothing is simulated before the scene is known: the twin is where it is told to be"
         anew = "the simulation was begun anew at the commanded pose, because its numbers had become useless"
         return f"{anew}: {self.diverged} times so far" if self.diverged else ""
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What is simulated otherwise than the planner checks it, and what is an estimate."""
-        return () if self._model is None else self._model.remarks
 
     def take_model(self, model: PhysicsModel) -> None:
         """Go on in another model from the next cycle on, with pose, speed and servo as they are then."""

@@ -1,6 +1,6 @@
-"""Masses that a simulation needs: of links, tools and workpieces, and where each number comes from. SI.
+"""Masses that a simulation needs: of links, tools and workpieces. SI.
 
-A number that nobody has said is calculated from a volume and a density, and is named as an estimate wherever it is shown.
+An unknown mass is calculated from a volume and a density, and is named as an estimate wherever it is shown.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.scene.collision_bodies import Body
+from construction_twin.scene.collision_bodies import Body, RobotBodies
 
 #: Length of a step [s]: a quarter of a cycle.
 STEP = 0.001
@@ -22,8 +22,6 @@ STEP = 0.001
 GRAVITY = 9.80665
 #: Friction of two bodies [1] of which nobody says more: wood, brick and steel lie between 0.3 and 0.6.
 FRICTION = 0.4
-
-
 #: Taken for a shape of unknown material [kg/m^3]: between spruce and aluminium, as what a lab carries is.
 UNKNOWN_DENSITY = 1000.0
 #: A body of no volume, a plate of a surface mesh, has this mass [kg]: MuJoCo simulates nothing that weighs nothing.
@@ -37,7 +35,6 @@ class MassProperties:
     """What a rigid body weighs, and how its mass is spread.
 
     Attributes:
-        mass: [kg], above 0
         centre: Shape (3,). Centre of mass in the body's frame [m].
         inertia: Shape (3, 3). About the centre of mass, axes of the body's frame [kg m^2].
         estimated: Calculated from a volume and an assumed density.
@@ -61,12 +58,7 @@ class MassProperties:
 
 
 def payload_of(numbers: Sequence[float], name: str) -> MassProperties | None:
-    """Return a payload of which only numbers are known, in the frame of the tip link; None: there is none.
-
-    Args:
-        numbers: Mass [kg], or mass and centre of mass [m]; (): none.
-        name: Of what says them, for messages.
-    """
+    """Return the payload of a mass [kg], or of a mass and its centre [m], in the frame of the tip link; of no numbers None."""
     if not numbers:
         return None
     mass, *centre = numbers
@@ -90,10 +82,7 @@ def together(parts: Sequence[MassProperties]) -> MassProperties:
 
 
 def of_shape(geometry: coal.CollisionGeometry, density: float = UNKNOWN_DENSITY) -> MassProperties:
-    """Return the properties of a solid of one density [kg/m^3] in its own frame.
-
-    A surface that encloses no volume weighs `LEAST_MASS`, spread as in the box around it.
-    """
+    """Return the properties of a solid of one density [kg/m^3] in its own frame; of an open surface `LEAST_MASS`, as a box."""
     volume = geometry.computeVolume()
     mass = abs(volume) * density
     if mass > LEAST_MASS:
@@ -119,15 +108,17 @@ def of_object(pieces: Sequence[Body]) -> MassProperties:
     return parts[0] if len(parts) == 1 else together(parts)
 
 
-def of_link(name: str, inertia: pinocchio.Inertia, shapes: Sequence[MassProperties]) -> MassProperties:
-    """Return what a link weighs: what its URDF says, or, where that says nothing, its shapes at `UNKNOWN_DENSITY`.
+def of_link(bodies: RobotBodies, index: int) -> tuple[MassProperties, list[str]]:
+    """Return what the links of a joint weigh, in its frame, and remarks.
 
-    Args:
-        inertia: Of the URDF, in the frame of the link's joint; mass 0: it says nothing.
-        shapes: The link's collision shapes, in the same frame.
+    It is what the URDF says, or, where that says nothing, their shapes at `UNKNOWN_DENSITY`.
     """
+    name, inertia = bodies.model.names[index], bodies.model.inertias[index]
     if inertia.mass <= 0.0:
-        return together(shapes) if shapes else MassProperties(LEAST_MASS, np.zeros(3), np.eye(3) * 1e-6, True)
+        shapes = [of_shape(one.geometry).at(one.placement) for one in bodies.bodies if one.joint == index]
+        found = together(shapes) if shapes else MassProperties(LEAST_MASS, np.zeros(3), np.eye(3) * 1e-6, True)
+        how = f"the URDF gives no mass for what {name} moves; estimated from its shapes: {found.mass:.1f} kg"
+        return found, [how] if found.estimated else []
     matrix = np.array(inertia.inertia, dtype=float)
     low, middle, high = np.linalg.eigvalsh(matrix)
     # a point mass has none: a thousandth of a kilogram a metre away keeps the equations solvable and changes nothing
@@ -138,4 +129,4 @@ def of_link(name: str, inertia: pinocchio.Inertia, shapes: Sequence[MassProperti
             "principal moments of which none is negative and the largest is at most the sum of the others [kg m^2]"
         )
         raise ConfigurationError(f"URDF link {name} inertia", np.round([low, middle, high], 6).tolist(), expected)
-    return MassProperties(inertia.mass, np.array(inertia.lever, dtype=float), matrix)
+    return MassProperties(inertia.mass, np.array(inertia.lever, dtype=float), matrix), []

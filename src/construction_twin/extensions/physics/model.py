@@ -1,7 +1,7 @@
 """A MuJoCo model of an arm, what it carries and what stands around it, from the records that the planner checks collisions with.
 
-The same joints, shapes and pairs as `scene.collision_world`: what the planner calls free, the simulation finds free, too. The world
-is the root of the URDF's tree; SI; joints in the order of ``robot.joint_names``.
+What the planner calls free, the simulation finds free, too. The world is the root of the URDF's tree; SI; joints in the order of
+``robot.joint_names``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from construction_twin.extensions.physics.mass import (
     MassProperties,
     of_link,
     of_object,
-    of_shape,
     together,
 )
 from construction_twin.robot.description import JointValues, RobotModel
@@ -36,12 +35,8 @@ from construction_twin.scene.self_collision import SelfCollision
 _CONTACT = (0.004, 1.0)
 
 
-def _unsaid(_message: object) -> None:
-    """Take a warning of MuJoCo, which counts it in the state as well: `rehearsal` reads the counters."""
-
-
-# without it MuJoCo writes MUJOCO_LOG.TXT into whatever folder the process was started in
-mujoco.set_mju_user_warning(_unsaid)
+# `arm.is_broken` reads MuJoCo's counters of warnings; without this it would write MUJOCO_LOG.TXT into the present folder
+mujoco.set_mju_user_warning(lambda _message: None)
 
 
 @dataclass(frozen=True)
@@ -59,28 +54,23 @@ class PhysicsModel:
     """A compiled model and where its numbers are.
 
     Attributes:
-        model: MuJoCo's.
-        joints: Position and velocity of each of ``robot.joint_names`` in MuJoCo's arrays: integers, shape (n,), or a slice.
-        drives: Torques, inertias and friction of the axes.
+        joints: Shape (n,). Place of each of ``robot.joint_names`` in MuJoCo's arrays.
         owners: Of each geom: the link or scene object that it belongs to.
-        links: Which names are those of links.
         loose: Position of each loose body (`Load.loose`) in MuJoCo's arrays of positions: 7 numbers from there.
-        followers: Of each joint that follows one of the chain: its place and its leader's in MuJoCo's arrays, factor, offset.
         shares: Shape (joints of the arm, n). How fast each joint of the arm, its followers too, turns per joint of the chain; None:
             nothing follows.
         inertias, related: Shape (m, m), m joints of the arm, n where nothing follows. Where two joints' inertia is in MuJoCo's
             sparse matrix, and whether it is there.
-        unplanned: Shape (geoms, geoms), true or false. Which contacts the planner would have refused.
+        unplanned: Shape (geoms, geoms). Which contacts the planner would have refused.
         payload: What the flange carries, tool and objects, in the frame of the last joint; None: nothing.
         remarks: What is simulated otherwise than the planner checks it, and what is an estimate, one sentence each.
     """
 
     robot: RobotModel
     model: mujoco.MjModel
-    joints: np.ndarray | slice
+    joints: np.ndarray
     drives: ArmDrives
     owners: tuple[str, ...]
-    links: frozenset[str]
     loose: Mapping[str, int]
     followers: tuple[Follower, ...]
     shares: np.ndarray | None
@@ -111,7 +101,7 @@ class PhysicsModel:
 
     def of_joints(self, forces: np.ndarray) -> np.ndarray:
         """Return what `forces`, shape (nv,), ask of the chain's joints, shape (n,): a leader also carries what follows it."""
-        return forces[self.joints].copy() if self.shares is None else self.shares.T @ forces[: len(self.shares)]
+        return forces[self.joints] if self.shares is None else self.shares.T @ forces[: len(self.shares)]
 
     def inertia(self, data: mujoco.MjData) -> np.ndarray:
         """Return the mass matrix of the chain with what follows and what it carries, shape (n, n) [kg m^2]; motors included."""
@@ -125,9 +115,8 @@ class Load:
 
     Attributes:
         masses: Of objects, by name [kg]; others are estimated from their volume.
-        loose: Objects that can be moved or tipped over where they stand, by name: the body that each is a piece of. Others are part
-            of the world.
-        flange: A mass at the flange without a shape: a payload of which only its numbers are known, in the frame of the tip link.
+        loose: Body of each object that can be moved or tipped over where it stands, by name. Others are part of the world.
+        flange: A payload of which only numbers are known, in the frame of the tip link.
     """
 
     masses: Mapping[str, float] = field(default_factory=dict)
@@ -143,7 +132,7 @@ def build_model(
     load: Load = Load(),
     contacts: bool = True,
 ) -> PhysicsModel:
-    """Compile the model; `contacts`: whether bodies touch each other; if not, they have masses and no shapes."""
+    """Compile the model; without `contacts` bodies have masses and no shapes."""
     return _Builder(bodies, scene, self_collision, drives, load, contacts).build()
 
 
@@ -169,11 +158,6 @@ class _Builder:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.compiler.degree = False
-        # a bright sky behind what a film draws
-        spec.add_texture(
-            name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-            rgb1=[0.95, 0.97, 1.0], rgb2=[0.7, 0.8, 0.9], width=16, height=96,
-        )  # fmt: skip
         # which bodies may touch is said pair by pair below
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
 
@@ -183,10 +167,9 @@ class _Builder:
         joints = self._add_arm(model)
         carried = self._add_objects(joints)
         payload = self._add_flange_load(joints, carried)
-        if self._drives.estimates:
-            keys = ", ".join(self._drives.estimates).replace("_", " ")
-            self._remarks.append(f"of the arm these are estimates: {keys}; torques: {self._drives.source}")
-        self._exclude_pairs()
+        self._remarks += self._drives.remarks
+        checked = self._checked()
+        self._exclude_pairs(checked)
         self._add_followers()
         compiled = self._spec.compile()
         for name, armature, damping, friction in zip(
@@ -197,11 +180,9 @@ class _Builder:
             compiled.dof_damping[dof] = damping
         mujoco.mj_setConst(compiled, mujoco.MjData(compiled))
         places = np.array([compiled.joint(name).dofadr[0] for name in self._robot_bodies.robot.joint_names])
-        owners = [""] * compiled.ngeom
-        for geom in range(compiled.ngeom):
-            owners[geom] = compiled.geom(geom).name.split("\n")[0]
+        owners = [compiled.geom(geom).name.split("\n")[0] for geom in range(compiled.ngeom)]
         loose = {name: int(compiled.joint(f"free\n{name}").qposadr[0]) for name in self._loose}
-        followers = self._followers(compiled)
+        followers = _followers(compiled)
         # the arm is the first that was added, one number per joint
         count = self._robot_bodies.model.njoints - 1
         inertias, related = _inertias(compiled, count)
@@ -214,9 +195,8 @@ class _Builder:
             for one in followers:
                 shares[one.place] = one.factor * shares[one.leader]
         return PhysicsModel(
-            self._robot_bodies.robot, compiled, _run_of(places), self._drives, tuple(owners),
-            frozenset(self._robot_bodies.link_joints), loose,
-            followers, shares, inertias, related, self._unplanned(owners), payload, tuple(dict.fromkeys(self._remarks)),
+            self._robot_bodies.robot, compiled, places, self._drives, tuple(owners), loose, followers, shares, inertias, related,
+            _unplanned(owners, checked), payload, tuple(dict.fromkeys(self._remarks)),
         )  # fmt: skip
 
     def _add_arm(self, model: pinocchio.Model) -> list:
@@ -239,15 +219,8 @@ class _Builder:
                 type=mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE,
                 axis=axis[:3] if slides else axis[3:],
             )
-            own = [
-                of_shape(one.geometry).at(one.placement) for one in self._own if one.joint == index and one.item is None
-            ]
-            inertia = of_link(model.names[index], model.inertias[index], own)
-            if inertia.estimated:
-                self._remarks.append(
-                    f"the URDF gives no mass for what {model.names[index]} moves; estimated from its shapes: "
-                    f"{inertia.mass:.1f} kg"
-                )
+            inertia, remarks = of_link(self._robot_bodies, index)
+            self._remarks += remarks
             _set_mass(body, inertia)
             made.append(body)
         for link, shapes in itertools.groupby(self._robot_bodies.bodies, key=lambda one: one.owner):
@@ -386,10 +359,9 @@ class _Builder:
             return []
         return [vertices]
 
-    def _exclude_pairs(self) -> None:
+    def _exclude_pairs(self, checked: set[frozenset[str]]) -> None:
         """Leave out the pairs of the arm, and what it carries, that the planner does not check."""
         on_arm = dict.fromkeys(one.owner for one in self._own if one.item is None or one.joint)
-        checked = self._checked()
         named = {one.owner: one for one in self._own}
         mobile = {name for name in on_arm if named[name].joint}
         # an object may be several pieces: each name once
@@ -407,32 +379,10 @@ class _Builder:
             for first, second, _ in checked_pairs(self._own, self._scene.padding, self._self_collision)
         }
 
-    def _unplanned(self, owners: Sequence[str]) -> np.ndarray:
-        checked = self._checked()
-        index: dict[str, list[int]] = {}
-        for number, owner in enumerate(owners):
-            index.setdefault(owner, []).append(number)
-        found = np.zeros((len(owners), len(owners)), dtype=bool)
-        for pair in checked:
-            first, second = pair
-            for one, other in itertools.product(index.get(first, ()), index.get(second, ())):
-                found[one, other] = found[other, one] = True
-        return found
-
-    def _followers(self, compiled: mujoco.MjModel) -> tuple[Follower, ...]:
-        places = self._names_of_places()
-        return tuple(
-            Follower(int(compiled.joint(places[at]).dofadr[0]), int(compiled.joint(places[leader]).dofadr[0]), factor, offset)
-            for at, leader, factor, offset in self._robot_bodies.followers
-        )  # fmt: skip
-
-    def _names_of_places(self) -> dict[int, str]:
-        model = self._robot_bodies.model
-        return {model.joints[index].idx_q: model.names[index] for index in range(1, model.njoints)}
-
     def _add_followers(self) -> None:
         """Tie the joints that follow one of the chain to their leaders."""
-        places = self._names_of_places()
+        model = self._robot_bodies.model
+        places = {model.joints[index].idx_q: model.names[index] for index in range(1, model.njoints)}
         for at, leader, factor, offset in self._robot_bodies.followers:
             self._spec.add_equality(
                 type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT, name1=places[at], name2=places[leader],
@@ -440,10 +390,25 @@ class _Builder:
             )  # fmt: skip
 
 
-def _run_of(places: np.ndarray) -> np.ndarray | slice:
-    """Return places that follow each other as a slice, which MuJoCo's arrays are read by four times as fast."""
-    first, count = int(places[0]), len(places)
-    return slice(first, first + count) if np.array_equal(places, np.arange(first, first + count)) else places
+def _unplanned(owners: Sequence[str], checked: set[frozenset[str]]) -> np.ndarray:
+    """Return which contacts of geoms are of pairs that the planner checks, shape (geoms, geoms)."""
+    geoms: dict[str, list[int]] = {}
+    for number, owner in enumerate(owners):
+        geoms.setdefault(owner, []).append(number)
+    found = np.zeros((len(owners), len(owners)), dtype=bool)
+    for first, second in checked:
+        for one, other in itertools.product(geoms.get(first, ()), geoms.get(second, ())):
+            found[one, other] = found[other, one] = True
+    return found
+
+
+def _followers(model: mujoco.MjModel) -> tuple[Follower, ...]:
+    """Return the joints that are tied to others."""
+    places = model.jnt_dofadr[np.column_stack((model.eq_obj1id, model.eq_obj2id))].tolist()
+    return tuple(
+        Follower(place, leader, float(factor), float(offset))
+        for (place, leader), (offset, factor) in zip(places, model.eq_data[:, :2])
+    )
 
 
 def _inertias(model: mujoco.MjModel, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,6 +1,6 @@
 """Builds models and rehearses plans in a process of its own: the node outlives what a simulation does there.
 
-``python -m`` with this module's name is the process; `work.worker` carries questions and answers. Knows no ROS.
+``python -m`` with this module's name is the process; `core.worker` carries questions and answers.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ class Question:
 
     Attributes:
         scenes: By hash: that of the plan, and those of its segments.
-        masses: Of bodies that the arm carries, and of those that stand there and can be tipped over, see `physics.known_mass` [kg].
+        masses: Of bodies that the arm carries, and of those that stand there and can be tipped over [kg].
         inputs: Hash of what else decides the result.
         standing: Which of these stand there.
-        unweighed: Elements that stand there, too, and of which nobody says the mass.
+        unweighed: Elements that stand there and whose mass is unknown.
     """
 
     plan: Plan
@@ -67,17 +67,13 @@ class Question:
         placed: Set[str],
         constant: str,
     ) -> Question:
-        """Return the question of a plan.
+        """Return the question of a plan; raises SceneError if a change does not lead to the scene that its segment names.
 
         Args:
             scene: That it begins in; None: unknown.
-            changes: What its segments make of the scene.
             known: Masses of bodies [kg].
-            placed: Elements of tasks that are done: those of them that are in the scene stand where they were placed.
+            placed: Elements that stand where their tasks placed them.
             constant: Hash of what decides the result beside plan, scene, tool and masses.
-
-        Raises:
-            SceneError: If a change does not lead to the scene that its segment names.
         """
         there = () if scene is None else scene.objects
         objects = (*there, *(item for change in changes for item in change.put))
@@ -107,14 +103,7 @@ def file_digest(path: str) -> str:
 def prepared(
     robot: RobotModel, self_collision: str, drives: str, tool: str = "", payload: tuple[float, ...] = ()
 ) -> Rehearsal:
-    """Return what rehearses the plans of an arm; its files are read once.
-
-    Args:
-        self_collision: YAML of the link pairs that are not checked.
-        drives: YAML of the arm's drives; empty: what its URDF says.
-        tool: Tool file; empty: no tool.
-        payload: At the flange at all times, see `payload_of`.
-    """
+    """Return what rehearses the plans of an arm; of its files `drives` and `tool` may be empty; `payload` as in `payload_of`."""
     from construction_twin.extensions.physics.grip import SuctionGrip
     from construction_twin.extensions.physics.rehearsal import Rehearsal
 

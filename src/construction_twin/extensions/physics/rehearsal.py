@@ -1,19 +1,20 @@
 """A plan, carried out by the simulated arm faster than real time, before a person approves it. SI; joints as in `PhysicsModel`.
 
-What it finds: torques against what the drives can give, the payload against the arm's rating, contacts that the plan does not have,
-how far the arm goes on when it must stop at the worst moment, and what becomes of what is let go. A plan of several segments has a
-scene for each; what was let go in one goes on lying where it lies in the next.
+It finds torques against what the drives can give, the payload against the arm's rating, contacts that the plan does not have, how
+far the arm goes on when it must stop at the worst moment, and what becomes of what is let go. Each segment of a plan has a scene of
+its own; what was let go in one goes on lying where it lies in the next.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import mujoco
 import numpy as np
+import pinocchio
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.sentences import Sentence
@@ -25,7 +26,6 @@ from construction_twin.extensions.physics.judgement import SETTLING, STAYS, STAY
 from construction_twin.extensions.physics.known_mass import TOOL, body_of
 from construction_twin.extensions.physics.mass import MassProperties
 from construction_twin.extensions.physics.model import Load, PhysicsModel, build_model
-from construction_twin.extensions.physics.rigid_bodies import rigid_bodies
 from construction_twin.extensions.physics.standing import MOST, STILL, Standing, come_to_rest, displacement, nearest
 from construction_twin.review.rehearsal_report import (
     FAILED,
@@ -42,23 +42,17 @@ from construction_twin.review.rehearsal_report import (
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_bodies import RobotBodies
-from construction_twin.scene.objects import Scene, listed
+from construction_twin.scene.objects import Scene, SceneObject, listed
 from construction_twin.scene.self_collision import SelfCollision
 
 #: A contact that the plan does not have counts from this force on [N]: two bodies that graze each other within rounding do not.
 LEAST_FORCE = 1.0
+#: Pieces whose numbers in one another's frames differ by less than this lie as before: rounding [1], [m].
+_SAME = 1e-4
 #: For so long the arm, whose servo lags, is watched after the end of a plan that leaves nothing loose [s].
 _COMING_TO_REST = 0.2
 #: Longest time that braking may take [s].
 _LONGEST_BRAKING = 10.0
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """One part of a plan in one scene: until `end` [s] of the plan's trajectory."""
-
-    scene: Scene
-    end: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,10 +61,10 @@ class Rehearsal:
 
     Attributes:
         masses: Of objects, by name [kg]. What stands and has one can be tipped over.
-        unweighed: Elements that stand there and of which nobody says the mass: they are part of the world.
+        unweighed: Elements that stand there and whose mass is unknown: part of the world.
         flange: A payload without a shape, in the frame of the tip link.
-        grip: The tool's cups; None: it has none, and whether it holds what it carries is not looked at.
-        tool, inputs: Hashes of the tool file, and of what else decides the result, as the report has them.
+        grip: The tool's cups; None: it has none.
+        tool, inputs: Hashes of the tool file, and of what else decides the result.
     """
 
     bodies: RobotBodies
@@ -84,19 +78,8 @@ class Rehearsal:
     tool: str = ""
     inputs: str = ""
 
-    def of_plan(
-        self,
-        plan: Plan,
-        scenes: Mapping[str, Scene],
-        clock: Callable[[], float],
-        progress: Callable[[float, SimulatedArm], None] | None = None,
-    ) -> RehearsalReport:
-        """Rehearse a plan.
-
-        Args:
-            clock: For how long it took, e.g. ``time.perf_counter`` [s].
-            progress: Called after each cycle with the time in the plan [s] and the arm as it is then.
-        """
+    def of_plan(self, plan: Plan, scenes: Mapping[str, Scene], clock: Callable[[], float]) -> RehearsalReport:
+        """Rehearse a plan; `clock`: for how long it took, e.g. ``time.perf_counter`` [s]."""
         begin = clock()
         named = RehearsalReport(
             plan_id=plan.id, plan_hash=plan.hash, scene=plan.scene, tool=self.tool, inputs=self.inputs, engine=ENGINE
@@ -108,8 +91,8 @@ class Rehearsal:
             reason = Sentence("the scene {scene} that a segment needs is not known here", scene=missing[0][:12])
             return finished(replace(named, reasons=(reason,)), clock() - begin)
         ends = [segment.end for segment in plan.segments] or [plan.trajectory.duration]
-        parts = [Part(scenes[scene], end) for scene, end in zip(wanted, ends)]
-        run = _Run(self, plan.trajectory, parts, scenes[last], progress)
+        parts = [(scenes[scene], end) for scene, end in zip(wanted, ends)]
+        run = _Run(self, plan.trajectory, parts, scenes[last])
         try:
             found = run.report(named, clock)
         # ValueError: MuJoCo's compiler refuses a model
@@ -123,15 +106,49 @@ class Rehearsal:
 ENGINE = f"MuJoCo {mujoco.__version__}"
 
 
+def rigid_bodies(scenes: Iterable[Scene]) -> dict[str, str]:
+    """Return the body that each object is a piece of while a plan goes through `scenes`, by the object's name.
+
+    Pieces are one body while they stand or hang together in all scenes, lying to one another as before; one that goes alone makes
+    each of them a body with its own full name.
+    """
+    found: dict[str, str] = {}
+    first: dict[str, Sequence[SceneObject]] = {}
+    apart: set[str] = set()
+    for scene in scenes:
+        pieces: dict[str, list[SceneObject]] = {}
+        for item in sorted(scene.objects, key=lambda each: each.name):
+            body = found[item.name] = body_of(item.name)
+            pieces.setdefault(body, []).append(item)
+        for body, items in pieces.items():
+            if not _is_rigid(first.setdefault(body, items), items):
+                apart.add(body)
+    return {name: name if body in apart else body for name, body in found.items()}
+
+
+def _is_rigid(before: Sequence[SceneObject], now: Sequence[SceneObject]) -> bool:
+    """Return whether pieces, sorted by name, can be one body that was carried from one place to another."""
+    if [item.name for item in before] != [item.name for item in now] or len({item.link for item in now}) > 1:
+        return False
+    places, others = ([_placement(item) for item in items] for items in (before, now))
+    return all(
+        np.abs(places[0].actInv(place).homogeneous - others[0].actInv(other).homogeneous).max() < _SAME
+        for place, other in zip(places[1:], others[1:])
+    )
+
+
+def _placement(item: SceneObject) -> pinocchio.SE3:
+    return pinocchio.XYZQUATToSE3(np.array((*item.position, *item.quaternion)))
+
+
 class _Track:
-    """The arm's way through a plan, cycle by cycle; all of shape (n,) but where something else is said. SI.
+    """The arm's way through a plan, cycle by cycle. SI.
 
     Attributes:
         torques: The largest that each axis needed in a cycle.
         speeds, poses: At its end.
-        gravity: What holding the arm still there would need.
-        usages: Scalars. The largest fraction of an axis' torque.
-        kinetic: Scalars. Kinetic energy.
+        gravity: Torques that would hold the arm still there.
+        usages: The largest fraction of an axis' torque.
         off: Furthest that each axis was off its setpoint, without the servo's lag, until now.
     """
 
@@ -147,7 +164,7 @@ class _Track:
         self.off = np.zeros(len(self.limit))
 
     def note(self, arm: SimulatedArm, peak: np.ndarray, gravity: GravityTorque) -> None:
-        """Take a cycle that has ended, and the largest torque of each axis in it."""
+        """Add a cycle, with the largest torque of each axis in it."""
         q = arm.q
         self.torques.append(peak)
         self.speeds.append(arm.data.qvel[arm.physics.joints].copy())
@@ -183,18 +200,19 @@ class _Track:
 
 
 class _Run:
-    """One rehearsal: it steps the arm through the parts, and notes.
+    """One rehearsal.
 
-    `after`: The scene at the end, when the last tool has switched.
+    Args:
+        parts: Scene and end of each part of the plan [s].
+        after: The scene at the end, when the last tool has switched.
     """
 
-    def __init__(self, of: Rehearsal, trajectory: Trajectory, parts: Sequence[Part], after: Scene, progress=None):
+    def __init__(self, of: Rehearsal, trajectory: Trajectory, parts: Sequence[tuple[Scene, float]], after: Scene):
         self._of = of
         self._trajectory = trajectory
         self._parts = parts
         self._after = after
-        self._progress = progress
-        scenes = (*(part.scene for part in parts), after)
+        scenes = (*(scene for scene, _ in parts), after)
         self._bodies = rigid_bodies(scenes)
         carried = [{item.name for item in scene.objects if item.link} for scene in scenes]
         self._carried = frozenset[str]().union(*carried)
@@ -222,15 +240,15 @@ class _Run:
         if not self._let_stand(setpoints):
             return self._diverged(named, 0.0)
         settle = clock() - started
-        for number, part in enumerate(self._parts):
-            last = len(times) if number == len(self._parts) - 1 else round(part.end / CYCLE)
-            arm = self._arm(part.scene, setpoints[first], arm, begin)
+        for number, (scene, end) in enumerate(self._parts):
+            last = len(times) if number == len(self._parts) - 1 else round(end / CYCLE)
+            arm = self._arm(scene, setpoints[first], arm, begin)
             # what lies still, far from the arm, costs nothing
             arm.physics.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
-            diverged = self._play(arm, times[first:last], setpoints[first:last], self._watch(part.scene, arm.physics))
+            diverged = self._play(arm, times[first:last], setpoints[first:last], self._watch(scene, arm.physics))
             if diverged is not None:
                 return self._diverged(named, diverged)
-            first, begin = last, part.end
+            first, begin = last, end
         assert arm is not None
         started = clock()
         arm = self._arm(self._after, setpoints[-1], arm, begin)
@@ -248,7 +266,7 @@ class _Run:
 
     def _let_stand(self, setpoints: np.ndarray) -> bool:
         """Let what stands before the plan begins come to rest; return False when the simulation came apart."""
-        of, scene = self._of, self._parts[0].scene
+        of, scene = self._of, self._parts[0][0]
         names = {item.name for item in scene.objects if not item.link} & of.masses.keys() - self._handled
         known = {self._bodies[name] for name in names} - {self._bodies[name] for name in self._handled}
         objects = [item for item in scene.objects if self._bodies[item.name] in known]
@@ -342,8 +360,6 @@ class _Run:
             self._track.note(arm, peak, gravity)
             if watch is not None:
                 watch.note(at, data)
-            if self._progress is not None:
-                self._progress(at, arm)
         if watch is not None:
             self._grips.append(watch.worst())
         return None
@@ -390,9 +406,6 @@ class _Run:
             for _step in arm.steps(setpoint):
                 if arm.data.ncon:
                     self._note_contacts(arm.physics, arm.data, duration, without)
-            if self._progress is not None:
-                duration += CYCLE
-                self._progress(duration, arm)
         found = dict(self._displaced)
         for name in arm.physics.loose:
             one = self._found(arm, name)
@@ -445,9 +458,9 @@ class _Run:
         seconds = float(np.max(np.abs(speed) / most))
         if seconds <= 0.0 or not math.isfinite(seconds):
             return Braking(time=number * CYCLE)
-        part = next(part for part in self._parts if part is self._parts[-1] or number * CYCLE < part.end)
+        scene = next((scene for scene, end in self._parts if number * CYCLE < end), self._parts[-1][0])
         # how far the arm goes on, whatever stands in the way
-        physics = self._model(part.scene, {})
+        physics = self._model(scene, {})
         physics.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         arm = SimulatedArm(physics, self._track.poses[number], Servo(saturates=False))
         arm.begin_with(speed)

@@ -1,7 +1,7 @@
-"""What can be tipped over and stands around before a plan begins: how it lies at rest, and what would not stay there anyway. SI.
+"""What can be tipped over and stands around before a plan begins: how it lies at rest, and what would move anyway. SI.
 
 The planner's scene has every element where it was planned to be: without the mortar between two bricks, or a hair inside its
-neighbour. So the simulation first lets everything come to rest. What moves by itself then is no matter of the plan.
+neighbour. So the simulation first lets everything come to rest.
 """
 
 from __future__ import annotations
@@ -61,9 +61,8 @@ def come_to_rest(
     """Let bodies come to rest around an arm that stands still; None: the simulation came apart.
 
     Args:
-        build: Returns the model in which some objects are loose, see `Load.loose`; the others are part of the world.
-        pieces: Objects that can be moved, by name: the body that each is a piece of.
-        pose: Of the arm, shape (n,) [rad], [m].
+        build: Returns the model in which some objects are loose, see `Load.loose`.
+        pieces: Body of each object that can be moved, by name.
     """
     restless: dict[str, float] = {}
     for number in range(_ROUNDS + 1):
@@ -107,12 +106,7 @@ def _settle(arm: SimulatedArm, pose: np.ndarray) -> None:
 def nearest(
     objects: Iterable[SceneObject], bodies: Mapping[str, str], robot: RobotModel, poses: np.ndarray
 ) -> list[str]:
-    """Return the bodies of objects, those first that the tool comes nearest to; of the same distance by name.
-
-    Args:
-        bodies: Of each object, by its name.
-        poses: Of the arm along a plan, shape (m, n) [rad], [m].
-    """
+    """Return the bodies of objects, those first that the tool comes nearest to along `poses`, shape (m, n); then by name."""
     rows = poses[np.unique(np.linspace(0, len(poses) - 1, _POSES).round().astype(int))]
     chain = Chain(robot)
     path = np.array([chain.forward(row).position for row in rows])

@@ -34,12 +34,8 @@ def main(arguments: list[str] | None = None) -> int:
         "_evaluation",
     )
     parser.add_argument("--plans", action="store_true", help="also write each plan as plan_N.csv, for twin plan --csv")
-    parser.add_argument(
-        "--robot-xacro",
-        type=Path,
-        metavar="FILE",
-        help="URDF or xacro for figure 8 and units (default: the one here that fits the bag)",
-    )
+    xacro = "URDF or xacro for figure 8 and units (default: the one here that fits the bag)"
+    parser.add_argument("--robot-xacro", type=Path, metavar="FILE", help=xacro)
     parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
     parser.add_argument("--robot-config", type=Path, metavar="FILE", help="robot YAML (default: likewise)")
     options = parser.parse_args(rospy.myargv()[1:] if arguments is None else arguments)
@@ -50,9 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
         plans = _write_plans(options, robot, directory) if options.plans else ()
         render_tables(report.summary, console)
         if robot.joint_names != recording.joint_names:
-            console.print(
-                f"No figure8.png: {robot.name} has other joints than the bag; see --robot-xacro and --robot-config."
-            )
+            console.print(f"No figure8.png: {robot.name} has other joints than the bag: --robot-xacro, --robot-config.")
         return (*report.files, *plans)
 
     return report_bag("evaluate", options, write)
@@ -70,9 +64,7 @@ def _write_plans(options: argparse.Namespace, robot: RobotModel, directory: Path
     files: list[Path] = []
     for plan in read_plans(options.bag, options.robot):
         if plan.trajectory.joint_names != robot.joint_names:
-            raise ConstructionTwinError(
-                f"plan {plan.id} has other joints than {robot.name}; give --robot-xacro and --robot-config"
-            )
+            raise ConstructionTwinError(f"plan {plan.id} has other joints; give --robot-xacro and --robot-config")
         files.append(directory / f"plan_{len(files) + 1}.csv")
         write_whole(files[-1], extension("planners.waypoint_file").format_plan(plan, robot.linear))
     return tuple(files)

@@ -87,10 +87,7 @@ class Experiment:
         topics = [rospy.resolve_name(topic) for topic in self._settings.topics]
         bag = directory / "experiment.bag"
         with Recorder(bag, topics, rospy.resolve_name("recorder")) as recorder:
-            self._wait(
-                lambda: "" if recorder.connected() else "the recorder to connect",
-                "the recording did not start",
-            )
+            self._wait(lambda: "" if recorder.connected() else "the recorder to connect", "the recording did not start")
             self._say(f"recording to {bag}")
             for number, goal in enumerate(self._settings.goals_deg, start=1):
                 self._play(self._plan(goal), f"plan {number} of {len(self._settings.goals_deg)}")
@@ -147,7 +144,7 @@ class Experiment:
             played = rospy.get_time() - now.plan_start.to_sec()
             if played > now.duration + self._settings.timeout:
                 raise ConstructionTwinError(
-                    f"the plan lasts {now.duration:g} s but plays for {played:.0f} s; is the executor alive?"
+                    f"the plan of {now.duration:g} s plays for {played:.0f} s; is the executor alive?"
                 )
             if (tenth := min(9, int(10.0 * played / now.duration))) > said:
                 said = tenth
@@ -160,9 +157,9 @@ class Experiment:
         subscriber = Subscriber(
             "physical/feedback",
             Feedback,
-            lambda message: rest.update(message.header.stamp.to_sec(), message.position),
+            lambda m: rest.update(m.header.stamp.to_sec(), m.position),
             warn_of_refusals(),
-            queue_size=250,
+            250,
         )
         self._wait(lambda: "" if rest.at_rest else "the physical arm to be at rest", "the arm does not come to rest")
         subscriber.unregister()
@@ -216,9 +213,8 @@ def checked(parameters: Parameters = rospy) -> tuple[ExperimentSettings, RobotMo
     joints = len(robot.joint_names)
     for goal in settings.goals_deg:
         if len(goal) != joints:
-            raise ConstructionTwinError(
-                f"a goal in ~goals_deg has {len(goal)} values; {robot.name} has {joints} joints"
-            )
+            found = f"a goal in ~goals_deg has {len(goal)} values"
+            raise ConstructionTwinError(f"{found}; {robot.name} has {joints} joints")
         robot.check_range(from_wire(goal, robot.linear))
     check_writable(Path(settings.results_dir).expanduser())
     return settings, robot

@@ -142,7 +142,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--name", default="", help="of the robot, in ROS and MQTT: [a-z0-9_] [the URDF's]")
     parser.add_argument("--xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
     parser.add_argument(
-        "--controller-make", choices=tuple(MODULES), default=DEFAULT, help="make of its controller [%(default)s]"
+        "--controller-make", choices=tuple(MODULES), default=DEFAULT, help="its controller [%(default)s]"
     )
     parser.add_argument("--output", type=Path, metavar="DIR", help="folder for the files [./NAME]")
     parser.add_argument(
@@ -156,9 +156,8 @@ def _parser() -> argparse.ArgumentParser:
 
 def _make(options: argparse.Namespace, command: str) -> list[str]:
     if not 0 < options.full_speed_in < float("inf") or options.samples < 1:
-        raise ConfigurationError(
-            "--full-speed-in, --samples", (options.full_speed_in, options.samples), "positive numbers"
-        )
+        given = options.full_speed_in, options.samples
+        raise ConfigurationError("--full-speed-in, --samples", given, "positive numbers")
     path = options.urdf.absolute()
     urdf = expand_xacro(path, xacro_arguments(options.xacro_args))
     base, tip = find_ends(urdf, options.base, options.tip)
@@ -220,11 +219,10 @@ def _check_folder(folder: Path, files: Mapping[str, Path], force: bool) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     there = [file for file in files.values() if file.exists()]
     if there and not force:
-        raise ConfigurationError(
-            "--output",
-            str(there[0]),
-            "a folder without these files: what a person has filled in would be lost; give another one, or --force",
+        expected = (
+            "a folder without these files: what a person has filled in would be lost; give another one, or --force"
         )
+        raise ConfigurationError("--output", str(there[0]), expected)
 
 
 def _scene(robot: RobotModel, pairs: SelfCollision, floor: Scene) -> tuple[Scene, str, Home]:
@@ -251,6 +249,4 @@ def _settle(
             home = replace(home, clearance=measured.distance, between=measured.between)
             return robot, description, pairs, home
         home = find_home(world, np.random.default_rng(SEED))
-    raise ConfigurationError(
-        "home pose", home.q, f"a pose that {samples} samples leave free, within {_ATTEMPTS} attempts"
-    )
+    raise ConfigurationError("home pose", home.q, f"one that {samples} samples leave free, within {_ATTEMPTS} attempts")

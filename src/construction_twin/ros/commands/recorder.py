@@ -41,14 +41,9 @@ class Recorder:
         self._end(signal.SIGINT)
 
     def connected(self) -> bool:
-        """Return whether every publisher of the topics sends to the recorder.
-
-        They are asked: the recorder counts a connection before the publisher has taken it up, up to a second on a busy machine.
-        """
+        """Return whether every publisher of the topics sends to the recorder: they are asked, it counts a connection too early."""
         if self._process.poll() is not None:
-            raise ConstructionTwinError(
-                f"the recorder of {self.path} ended with status {self._process.returncode}; is the disk full?"
-            )
+            raise ConstructionTwinError(f"the recorder ended with status {self._process.returncode}; is the disk full?")
         try:
             publishers, subscribers, _ = self._master.getSystemState()
             subscribed = {topic for topic, nodes in subscribers if self._name in nodes}
@@ -71,9 +66,7 @@ class Recorder:
         """End the recording and wait until the bag is closed."""
         self._end(signal.SIGINT, timeout)
         if not self.path.exists():
-            raise ConstructionTwinError(
-                f"{self.path} was not closed within {timeout:g} s; `rosbag reindex` can repair the .active file"
-            )
+            raise ConstructionTwinError(f"{self.path} was not closed within {timeout:g} s; see `rosbag reindex`")
 
     def _end(self, number: signal.Signals, timeout: float = 10.0) -> None:
         if self._process.poll() is None:

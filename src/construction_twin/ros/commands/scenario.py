@@ -206,10 +206,8 @@ class ScenarioDriver:
         self._note("move", str(move.goal_deg))
         self._moved = rospy.Time.now().to_nsec()
         goal = from_wire(move.goal_deg, self._robot.linear)
-        answer = rospy.ServiceProxy("plan_to_joints", PlanToJoints)(
-            goal=goal, duration=move.duration, source="scenario"
-        )
-        self._check("plan_to_joints", answer)
+        plan = rospy.ServiceProxy("plan_to_joints", PlanToJoints)
+        self._check("plan_to_joints", plan(goal=goal, duration=move.duration, source="scenario"))
 
     def _approve(self, deadline: float, refused: bool) -> None:
         plan = self._wait(self._new_plan, "a plan to approve", deadline)
@@ -306,9 +304,8 @@ def run_scenario(settings: ScenarioSettings, content: dict, console: Console) ->
         failure = driver.run()
         rospy.sleep(0.6)  # the mock's next report belongs to the recording
         recorder.stop(_READY)
-    (folder / NOTES).write_text(
-        json.dumps({"failure": failure, "actions": [asdict(action) for action in driver.actions]}, indent=2) + "\n"
-    )
+    notes = {"failure": failure, "actions": [asdict(action) for action in driver.actions]}
+    (folder / NOTES).write_text(json.dumps(notes, indent=2) + "\n")
     shutil.copyfile(settings.trace, folder / TRACE)
     run, trace = read_run(folder, rospy.get_namespace()), read_trace(str(folder / TRACE))
     decimals, cycle_ms = rospy.get_param("gateway/decimals"), rospy.get_param("gateway/cycle")
@@ -423,9 +420,7 @@ def checked(parameters: Parameters = rospy) -> tuple[ScenarioSettings, dict]:
     for name in yaml.safe_load(Path(settings.file).read_text(encoding="utf-8")):
         if name not in known:
             near = "".join(f"; did you mean {each}?" for each in difflib.get_close_matches(name, known, n=1))
-            raise ConfigurationError(
-                settings.file, name, f"`scenario`, or the name of a node whose parameters it changes{near}"
-            )
+            raise ConfigurationError(settings.file, name, f"`scenario`, or a node whose parameters it changes{near}")
     check_writable(Path(settings.results_dir).expanduser())
     return settings, content
 

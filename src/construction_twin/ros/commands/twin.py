@@ -136,7 +136,7 @@ class Command:
         plan = self._under_review(listener)
         if expected and plan.id != expected:
             raise RequestRefused(
-                f"plan {plan.id} is under review, not {expected} of the task; see `twin show`, `twin work list`"
+                f"plan {plan.id} is under review, not {expected} of the task: twin show, twin work list"
             )
         self._print_plan(plan, listener, with_names)
         seen = self._print_rehearsal(plan) if options.override_rehearsal else None

@@ -110,13 +110,9 @@ def segment_to_msg(segment: Segment, change: SceneChange = SceneChange()) -> Seg
 
 def work_segment_to_msg(segment: WorkSegment) -> WorkSegmentMsg:
     """Return the message."""
-    msg = WorkSegmentMsg(
-        name=segment.name,
-        trajectory=trajectory_to_msg(segment.trajectory),
-        engaged=segment.engaged,
-        requires=[to_msg(signal, SignalMsg) for signal in segment.requires],
-        switches=[to_msg(switch, ToolSwitch) for switch in segment.switches],
-    )
+    msg = WorkSegmentMsg(name=segment.name, engaged=segment.engaged, trajectory=trajectory_to_msg(segment.trajectory))
+    msg.requires = [to_msg(signal, SignalMsg) for signal in segment.requires]
+    msg.switches = [to_msg(switch, ToolSwitch) for switch in segment.switches]
     _add_change(msg, segment.change)
     return msg
 

@@ -40,10 +40,8 @@ class PlanService:
 
 def pose_fields(pose: Pose) -> dict[str, Any]:
     """Return the fields of a `GoalRequest` that name a pose."""
-    return {
-        "position": tuple(map(float, pose.position)),
-        "orientation": tuple(rotation_to_quaternion(pose.rotation).tolist()),
-    }
+    orientation = tuple(rotation_to_quaternion(pose.rotation).tolist())
+    return {"position": tuple(map(float, pose.position)), "orientation": orientation}
 
 
 def _pose(asked: GoalRequest) -> PoseMsg:

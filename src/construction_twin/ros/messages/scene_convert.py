@@ -38,14 +38,10 @@ def object_from_msg(msg: ObjectMsg) -> SceneObject:
     """Return the object, not a fixed one; SceneError where it is none."""
     position, orientation = msg.pose.position, msg.pose.orientation
     return SceneObject(
-        name=msg.name,
-        shape=msg.shape,
+        **{name: getattr(msg, name) for name in ("name", "shape", "mesh", "padding", "link")},
         size=tuple(msg.size),
-        mesh=msg.mesh,
         position=(position.x, position.y, position.z),
         quaternion=(orientation.x, orientation.y, orientation.z, orientation.w),
-        padding=msg.padding,
-        link=msg.link,
         touch=tuple(msg.touch),
     )
 
@@ -62,9 +58,7 @@ def scene_from_msg(msg: SceneMsg) -> Scene:
     """Return the scene; SceneError where it is none, or its hash another one's: then a mesh file differs between two machines."""
     scene = Scene(tuple(map(object_from_msg, msg.objects)), msg.padding)
     if scene.hash != msg.hash:
-        raise SceneError(
-            "the scene's hash", msg.hash, f"{scene.hash}, that of its contents; a mesh file may have changed"
-        )
+        raise SceneError("the scene's hash", msg.hash, f"{scene.hash}, its contents'; a mesh file may have changed")
     return scene
 
 

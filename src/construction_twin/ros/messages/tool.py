@@ -59,14 +59,8 @@ def order_to_msg(order: ToolOrder) -> ToolCommand:
     switch = order.switch
     if switch is None:
         return ToolCommand(verb=ToolCommand.VOID, plan_id=order.plan_id)
-    return ToolCommand(
-        verb=ToolCommand.ARM,
-        id=order.id,
-        plan_id=order.plan_id,
-        output=switch.output,
-        value=switch.value,
-        stamp=to_time(order.stamp),
-    )
+    armed = {"id": order.id, "plan_id": order.plan_id, "stamp": to_time(order.stamp)}
+    return ToolCommand(verb=ToolCommand.ARM, output=switch.output, value=switch.value, **armed)
 
 
 def engagement_to_msg(engagement: Engagement | None, tool: ToolReport) -> EngagementMsg:
@@ -76,10 +70,7 @@ def engagement_to_msg(engagement: Engagement | None, tool: ToolReport) -> Engage
     requires = engagement.requires(tool)
     message = EngagementMsg(
         engaged=True,
-        plan_id=engagement.plan_id,
-        task=engagement.task,
-        segment=engagement.segment,
-        reason=engagement.reason,
+        **{name: getattr(engagement, name) for name in ("plan_id", "task", "segment", "reason")},
         trajectory=trajectory_to_msg(engagement.path.trajectory),
         end=engagement.path.end,
         requires=[to_msg(signal, Signal) for signal in requires],

@@ -74,16 +74,6 @@ class Settings(PrivateSettings):
     servo_model: str
 
 
-def is_simulated(settings: Settings) -> bool:
-    """Return whether the twin has a pose beside the commanded one."""
-    return settings.twin != "kinematic"
-
-
-def knows_servos(settings: Settings) -> bool:
-    """Return whether the monitor says where the servos should have the arm."""
-    return bool(settings.servo_model) and shell.has_arm(settings)
-
-
 class ShownPoses(Generic[Shown]):
     """Takes one pose after the other."""
 
@@ -211,9 +201,8 @@ class DisplayNode:
 
     def _publish_static_frames(self, settings: Settings) -> None:
         now = to_time(now_ns())
-        trees = ["preview", *(["physical"] if shell.has_arm(settings) else [])]
-        trees += ["simulated"] if is_simulated(settings) else []
-        trees += ["expected"] if knows_servos(settings) else []
+        shown = shell.has_arm(settings), True, shell.has_mass(settings), shell.knows_servos(settings)
+        trees = [tree for tree, is_shown in zip(TREES, shown) if is_shown]
         transforms = self._frames.of_the_twin(self._prefix("twin"), now)
         for tree in trees:
             transforms += self._frames.still(self._prefix(tree), now)
@@ -334,8 +323,8 @@ INTERFACE = shell.Interface(
         shell.PoseSubscription("twin/joint_states", DisplayNode.on_twin, queue_size=1),
         shell.Subscription("joint_states", JointState, DisplayNode.on_joints, queue_size=1),
         _shown_pose("physical/joint_states", "physical", shell.has_arm),
-        _shown_pose("twin/effort", "simulated", is_simulated),
-        _shown_pose("expected/joint_states", "expected", knows_servos),
+        _shown_pose("twin/effort", "simulated", shell.has_mass),
+        _shown_pose("expected/joint_states", "expected", shell.knows_servos),
         shell.Subscription("sync", Sync, DisplayNode.on_sync, queue_size=1, when=shell.has_arm),
         shell.Subscription("hold", Hold, DisplayNode.on_hold, queue_size=1, when=shell.has_arm),
         shell.Subscription("scene", Scene, lambda node, message: node.plan.on_scene(message), queue_size=1),

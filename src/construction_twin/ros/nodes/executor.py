@@ -106,9 +106,8 @@ class ExecutorNode:
             rospy.logwarn("auto_approve is on: every plan is approved by itself, without a person")
         elif settings.auto_approve_sources:
             named = ", ".join(settings.auto_approve_sources)
-            rospy.logwarn(
-                "auto_approve_sources is set: plans of %s are approved by themselves, without a person", named
-            )
+            set_to = "auto_approve_sources is set: plans of %s are approved by themselves, without a person"
+            rospy.logwarn(set_to, named)
 
     def run(self) -> None:
         """Publish one setpoint per cycle until shutdown."""
@@ -147,9 +146,8 @@ class ExecutorNode:
     def on_limit(self, message: msg.SpeedLimitInForce) -> None:
         """Take the speed limit in force."""
         with self._lock:
-            self._limit.accept(
-                message.limit, caller_of(message), time.monotonic_ns(), sentence=sentence_of(message, message.reason)
-            )
+            reason = sentence_of(message, message.reason)
+            self._limit.accept(message.limit, caller_of(message), time.monotonic_ns(), sentence=reason)
 
     def on_scene(self, message: msg.Scene) -> None:
         """Take the scene for which plans may be approved."""
@@ -316,9 +314,8 @@ class ExecutorNode:
         reason = f": {verdict.reason}" if verdict.reason else ""
         known = verdict.rehearsal
         rehearsal = f"; rehearsal: {' '.join(filter(None, (known.state, known.engine)))}" if known is not None else ""
-        self._log_queue.add(
-            rospy.loginfo, "plan %s %s by %s%s%s", verdict.plan_id, verdict.verdict, verdict.reviewer, reason, rehearsal
-        )
+        words = verdict.plan_id, verdict.verdict, verdict.reviewer, reason, rehearsal
+        self._log_queue.add(rospy.loginfo, "plan %s %s by %s%s%s", *words)
         message = to_msg(verdict, msg.Review)
         message.approved = verdict.approved
         self._publish("review", message)
@@ -332,17 +329,13 @@ class ExecutorNode:
         with self._lock:
             run = self.side_effects.run if executor.take_act() else _do
             events, orders = executor.take_events(), executor.take_orders()
-            report, lines = run("the executor's state", self._news.take, lambda: (now_ns(), str(present()))) or (
-                None,
-                (),
-            )
+            news = run("the executor's state", self._news.take, lambda: (now_ns(), str(present())))
+            report, lines = news or (None, ())
         for order in orders:
             self._publish("tool_command", order_to_msg(order))
         if report is not None:
-            run(
-                "the topic execution",
-                lambda: self._ports.publishers["execution"].publish(to_msg(report, msg.Execution)),
-            )
+            publish = self._ports.publishers["execution"].publish
+            run("the topic execution", lambda: publish(to_msg(report, msg.Execution)))
         for event in events:
             if not (isinstance(event, Verdict) and event.verdict == REJECTED):
                 # a person's rejection was kept for the record when it was carried out

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from queue import SimpleQueue
 
 import rospy
@@ -30,32 +30,16 @@ from construction_twin.srv import InjectFault, InjectFaultRequest
 _STATUS_PERIOD = 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class _Observed:
-    """What the loop hands to the publishing thread: ROS time [ns], the true axis angles [rad], [m], and the due status."""
-
-    stamp: int
-    angles: tuple[float, ...]
-    status: dict | None
-
-
 class MockRsiNode:
     """ROS around a MockRsi. Its loop runs in the main thread and hands what is to be published to another one."""
 
     def __init__(self, settings: MockSettings, robot: RobotModel, ports: shell.Ports):
-        self._settings = settings
-        self._robot = robot
-        self._controller = build_controller(self._settings, self._robot)
-        gateway = gateway_address(self._settings)
-        self._mock = MockRsi(
-            self._controller,
-            gateway,
-            self._settings.restart_after,
-            self._observe,
-            rospy.loginfo,
-            self._settings.fault_seed,
-        )
-        self._outbox: SimpleQueue[_Observed | None] = SimpleQueue()
+        self._settings, self._robot = settings, robot
+        self._controller, after = build_controller(settings, robot), settings.restart_after
+        told = self._observe, rospy.loginfo
+        self._mock = MockRsi(self._controller, gateway_address(settings), after, *told, settings.fault_seed)
+        #: For the publishing thread: ROS time [ns], the true axis angles [rad], [m], and the status where it is due.
+        self._outbox: SimpleQueue[tuple[int, tuple[float, ...], dict | None] | None] = SimpleQueue()
         self._cycle = 0
         self._status_cycles = round(_STATUS_PERIOD / self._controller.config.period)
         self._reported: tuple[int, bool, int, bool, bool] | None = None
@@ -93,7 +77,7 @@ class MockRsiNode:
             return
         # a node that reacts to the packet may be quicker than this thread
         stamp = now_ns() - (time.monotonic_ns() - mock.left)
-        self._outbox.put(_Observed(stamp, self._controller.true, self._snapshot(stamp) if due else None))
+        self._outbox.put((stamp, self._controller.true, self._snapshot(stamp) if due else None))
 
     def _snapshot(self, stamp: int) -> dict:
         controller, linear = self._controller, self._robot.linear
@@ -126,10 +110,8 @@ class MockRsiNode:
         ramp = self._controller.ramp
         if ramp is None:
             return None
-        return {
-            "time": ramp.cycles * self._controller.config.period,
-            "distance_deg": to_wire(ramp.distance, self._robot.linear),
-        }
+        period = self._controller.config.period
+        return {"time": ramp.cycles * period, "distance_deg": to_wire(ramp.distance, self._robot.linear)}
 
     def _tool(self) -> dict | None:
         tool = self._controller.tool
@@ -138,10 +120,10 @@ class MockRsiNode:
     # -- in other threads
 
     def _publish(self) -> None:
-        for seen in iter(self._outbox.get, None):
-            self._joints.publish(seen.stamp, joint_angles(self._robot, seen.angles))
-            if seen.status is not None:
-                self._status.publish(json.dumps(seen.status))
+        for stamp, angles, status in iter(self._outbox.get, None):
+            self._joints.publish(stamp, joint_angles(self._robot, angles))
+            if status is not None:
+                self._status.publish(json.dumps(status))
 
     def report(self) -> Report:
         """Return the state for `/diagnostics`."""

@@ -61,10 +61,7 @@ class Settings(MqttSettings):
 
 
 class MqttBridge:
-    """ROS and MQTT around a `Bridge`: a method for each topic and service of either side.
-
-    `_lock` guards the `Bridge`; nothing is sent while it is held. Its times are monotonic.
-    """
+    """ROS and MQTT around a `Bridge`, which `_lock` guards: nothing is sent while it is held. Its times are monotonic."""
 
     def __init__(
         self,
@@ -268,22 +265,18 @@ class MqttBridge:
         if stop is None:
             return Outcome(True, PLC_HALTED)
         if not self._side_effects.run("the stop for the gateway", self._send, stop):
-            return Outcome(
-                False,
-                Sentence(
-                    "the stop could not be sent to the gateway, which brakes by itself, because no more commands "
-                    "come; the cause is on /diagnostics; call reset to go on"
-                ),
+            problem = Sentence(
+                "the stop could not be sent to the gateway, which brakes by itself, because no more commands "
+                "come; the cause is on /diagnostics; call reset to go on"
             )
-        if not self._client.is_connected():
-            return Outcome(
-                False,
-                Sentence(
-                    "no connection to the broker: the gateway brakes by itself, because no more commands come; "
-                    "call reset to go on"
-                ),
+        elif not self._client.is_connected():
+            problem = Sentence(
+                "no connection to the broker: the gateway brakes by itself, because no more commands come; "
+                "call reset to go on"
             )
-        return Outcome(True, Sentence("stop sent to the gateway, plan dropped; call reset to go on"))
+        else:
+            return Outcome(True, Sentence("stop sent to the gateway, plan dropped; call reset to go on"))
+        return Outcome(False, problem)
 
     def on_mirror(self, request) -> str:
         """Begin or end mirror mode."""

@@ -105,10 +105,7 @@ class NeighbourNode:
         self._publisher.publish(with_sentences(message, problem))
 
     def _problem(self, plan: Plan, own: Claim | None) -> str:
-        """Return why a plan must not start, or not go on; empty: nothing is against it.
-
-        A plan that is played ends when it meets the other arm's that was begun before it, or the other arm where it stands.
-        """
+        """Return why a plan must not start, or go on: it meets the other arm's earlier plan, or that arm where it stands; or ""."""
         scene, plays = self._own.scene, own is not None and own.plan_id == plan.id
         try:
             occupied = self._other.occupied()

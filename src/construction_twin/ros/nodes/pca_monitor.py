@@ -378,27 +378,20 @@ class PcaMonitorNode:
 def make_gate(settings: Settings, robot: RobotModel, now: int) -> Gate:
     """Return the gate of a robot; ConfigurationError where the parameters do not fit it."""
     codec = JointStringCodec.of(robot, settings.decimals)
-    servos = read_servos(settings.servo_model, robot.joint_names) if knows_servos(settings) else None
+    servos = read_servos(settings.servo_model, robot.joint_names) if shell.knows_servos(settings) else None
     given = GateSettings.model_validate(settings.model_dump(include=set(GateSettings.model_fields)))
     return Gate(MotionLimits.of(robot), codec, given, now, servos, settings.arm != "none")
-
-
-def knows_servos(settings: Settings) -> bool:
-    """Return whether the arm is compared with a model of its servos: not without an arm."""
-    return bool(settings.servo_model) and settings.arm != "none"
 
 
 def check(settings: Settings, robot: RobotModel, shared: shell.Shared) -> None:
     """Check what fits the model and yet cannot work; see `NodeShell`."""
     make_gate(settings, robot, 0)
-    if knows_servos(settings):
+    if shell.knows_servos(settings):
         # servos of another cycle: the arm would never be judged
         known = read_servos(settings.servo_model, robot.joint_names).cycle_ns // 1_000_000
         cycle = (shared["gateway"] or {}).get("cycle", known)
         if known != cycle:
-            raise ConfigurationError(
-                "cycle_ms", known, f"{cycle} as the controller has: identify the servos at that cycle"
-            )
+            raise ConfigurationError("cycle_ms", known, f"{cycle} as the controller has: identify at that cycle")
     check_writable(robot_file(settings.transition_file, robot.name).parent)
 
 
@@ -412,7 +405,7 @@ INTERFACE = shell.Interface(
     ),
     publishes=(
         shell.PosePublication("command/joint_states"),
-        shell.PosePublication("expected/joint_states", when=knows_servos),
+        shell.PosePublication("expected/joint_states", when=shell.knows_servos),
         shell.Publication("sync", msg.Sync, queue_size=50, latch=True, tcp_nodelay=True),
         shell.Publication("hold", msg.Hold, queue_size=5, latch=True),
         shell.Publication("transitions", msg.Transition, queue_size=50, latch=True),

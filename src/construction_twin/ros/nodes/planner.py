@@ -93,15 +93,10 @@ def tool_waypoints(waypoints: Iterable, base_T_frame: Pose) -> list[ToolWaypoint
 
 def trajectory_waypoints(message: JointTrajectory, robot: RobotModel) -> Waypoints:
     """Return the waypoints of a trajectory message; raises like `waypoints.from_points`."""
-    points = message.points
-    return from_points(
-        robot,
-        message.joint_names,
-        [point.positions for point in points],
-        [point.velocities for point in points],
-        [point.accelerations for point in points],
-        [point.time_from_start.to_nsec() / NANOSECONDS for point in points],
-    )
+    names = ("positions", "velocities", "accelerations")
+    rows, velocities, accelerations = ([getattr(point, name) for point in message.points] for name in names)
+    times = [point.time_from_start.to_nsec() / NANOSECONDS for point in message.points]
+    return from_points(robot, message.joint_names, rows, velocities, accelerations, times)
 
 
 #: Oldest pose of the twin that a plan may start from, and longest wait for one [s since its reception].
@@ -128,15 +123,17 @@ class PlannerNode:
         self._chain = Chain(self._robot)
         self._beside = neighbour_settings()
         rng, ik = np.random.default_rng(settings.seed), IkSettings(budget_s=settings.ik_budget)
-        self._pipeline = PlanningPipeline(
-            robot,
-            inverse_kinematics(self._chain, ik, rng, time.monotonic),
+        solver, pairs = inverse_kinematics(self._chain, ik, rng, time.monotonic), settings.self_collision
+        occupied = self._occupied if self._beside is not None else None
+        given = (
+            solver,
             settings,
-            read_self_collision(settings.self_collision, robot),
+            read_self_collision(pairs, robot),
             time.monotonic,
             rospy.resolve_name("scene"),
-            self._occupied if self._beside is not None else None,
+            occupied,
         )
+        self._pipeline = PlanningPipeline(robot, *given)
         self._plans = 0
         self._last = "no plan asked for yet"
         self._diagnostics = ports.diagnostics
@@ -261,12 +258,10 @@ class PlannerNode:
 
         def read() -> Callable[[], Plan]:
             if left is None:
-                raise PlanningError(
-                    Sentence(
-                        "the arm was not left inside an engaged segment: there is no way back, any motion can be "
-                        "planned"
-                    )
+                nothing = Sentence(
+                    "the arm was not left inside an engaged segment: there is no way back, any motion can be planned"
                 )
+                raise PlanningError(nothing)
             path = ExecutedPath(trajectory_from_msg(left.trajectory), left.end)
             requires = tuple(from_msg(Signal, signal) for signal in left.requires)
 

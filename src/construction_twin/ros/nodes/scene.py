@@ -181,9 +181,8 @@ class SceneNode:
         clearance = self._world.clearance(q)
         values |= {"clearance": f"{clearance.distance:.4f}", "clearance between": " and ".join(clearance.between)}
         if self._touching:
-            self._state = Report(
-                WARN, f"in contact (padding included) at the present pose: {self._contact_text()}", values
-            )
+            where = "in contact (padding included) at the present pose"
+            self._state = Report(WARN, f"{where}: {self._contact_text()}", values)
         elif self._lasting:
             self._state = Report(WARN, self._lasting[0], values)
         else:

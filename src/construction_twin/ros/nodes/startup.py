@@ -50,6 +50,7 @@ class Settings(PrivateSettings):
     gateway: bool
     gateway_kind: Literal["rsi", "plc"] = "rsi"
     console: bool = False
+    gui: bool | Literal["marker"] = False
 
 
 class Refusals:
@@ -95,7 +96,7 @@ class StartupNode:
         self, settings: Settings, robot: RobotModel, ports: shell.Ports, clock: Callable[[], float] = time.monotonic
     ):
         namespace = rospy.get_namespace().rstrip("/")
-        named = settings.model_dump(exclude={"console"})
+        named = settings.model_dump(exclude={"console", "gui"})
         self._startup = StartUp(Deployment(namespace=namespace, **named))
         self._refusals, self._refused = Refusals(), threading.Event()
         self._said: set[str] = set()
@@ -148,16 +149,10 @@ class StartupNode:
             if facts is not None and name not in snapshot.silent
         }
         told = snapshot.link.gateway_counters if snapshot.link is not None and "link" in words else {}
-        seen = Seen(
-            link=words.get("link"),
-            sync=words.get("sync"),
-            execution=words.get("execution"),
-            feedback=FEEDBACK in self.came,
-            twin=TWIN in self.came,
-            scene=SCENE in self.came,
-            controller=told.get("controller_sentence", ""),
-            clock=told.get("cycle_sentence", ""),
-        )
+        link, sync, execution = (words.get(name) for name in reports)
+        feedback, twin, scene = (topic in self.came for topic in (FEEDBACK, TWIN, SCENE))
+        beside = told.get("controller_sentence", ""), told.get("cycle_sentence", "")
+        seen = Seen(link, sync, execution, feedback, twin, scene, *beside)
         for line in self._startup.update(seen, now):
             waits = self._startup.missing is not None
             (rospy.logwarn if waits else rospy.loginfo)("%s", line)
@@ -171,10 +166,7 @@ class StartupNode:
 
 
 def expect_reachable(environ: Mapping[str, str]) -> None:
-    """Raise a ConfigurationError when nodes of this machine would not reach each other, or the master.
-
-    Each tells the master `ROS_HOSTNAME`, else `ROS_IP`, else the machine's name: with one that leads nowhere none hears another.
-    """
+    """Raise a ConfigurationError where ROS_HOSTNAME, else ROS_IP, else the machine's name leads no node of it to another."""
     if environ.get("ROS_IPV6") == "on":
         return
     variable = next((name for name in ("ROS_HOSTNAME", "ROS_IP") if name in environ), "")
@@ -208,9 +200,8 @@ def reaches_itself(host: str, timeout: float) -> str:
             # by the name, as HTTP does: where /etc/hosts has `::1` alone, who asks for IPv4 still gets 127.0.0.1, HTTP only ::1
             socket.create_connection((host, port), timeout).close()
         except OSError as error:
-            return (
-                f"it has an address of IPv6 alone, at which no program of ROS listens ({error.strerror or str(error)})"
-            )
+            why = error.strerror or str(error)
+            return f"it has an address of IPv6 alone, at which no program of ROS listens ({why})"
     return ""
 
 
@@ -232,15 +223,11 @@ def check(settings: Settings, robot: RobotModel, *_: object) -> None:
     expect_reachable(os.environ)
     expect_known(_words_of_parent())
     if settings.gateway_kind == "plc" and settings.arm == "mock" and any(robot.linear):
-        raise ConfigurationError(
-            "gateway_kind",
-            "plc",
-            "rsi with track:=true: the PLC of examples/plc, which is the mock arm then, has no track",
-        )
+        expected = "rsi with track:=true: the PLC of examples/plc, which is the mock arm then, has no track"
+        raise ConfigurationError("gateway_kind", "plc", expected)
     if settings.console and settings.arm == "none":
-        raise ConfigurationError(
-            "console", True, "false with arm:=none: nothing is told by MQTT then, and the page would stay empty"
-        )
+        expected = "false with arm:=none: nothing is told by MQTT then, and the page would stay empty"
+        raise ConfigurationError("console", True, expected)
 
 
 def _words_of_parent() -> list[str]:

@@ -1,7 +1,4 @@
-"""tool_marker: the operator's handle in rviz. Dragged away from the tool, it shows at once whether the arm can go there.
-
-The verdict is drawn by markers of its own: rviz takes a changed interactive marker for a new one in the middle of a drag.
-"""
+"""tool_marker: the operator's handle in rviz. Dragged away from the tool, it shows at once whether the arm can go there."""
 
 from __future__ import annotations
 
@@ -73,9 +70,7 @@ class MarkerServer(InteractiveMarkerServer):
             super().processFeedback(feedback)
             return
         sender = caller or "a node without a name"
-        self._refused(
-            PUBLISHER, f"click of {feedback.client_id!r} on the marker, sent by {sender}: it is no rviz's own"
-        )
+        self._refused(PUBLISHER, f"click of {feedback.client_id!r} on the marker, sent by {sender}: no rviz's own")
 
 
 #: How often the marker follows the tool while it has not been dragged, and the texts are renewed [s].
@@ -188,13 +183,9 @@ class ToolMarkerNode:
         namespace = rospy.get_namespace()
         self._diagnostics = ports.diagnostics
         self._listener = RobotListener(namespace, self._robot, refuse=self._diagnostics.refuse)
-        self._menu = ToolMarkerMenu(
-            OperatorClient(namespace, SERVICE_TIMEOUT, "tool_marker"),
-            self._listener.under_review,
-            self._robot.home,
-            self._settings.reviewer or getpass.getuser(),
-            self._say,
-        )
+        client = OperatorClient(namespace, SERVICE_TIMEOUT, "tool_marker")
+        reviewer = settings.reviewer or getpass.getuser()
+        self._menu = ToolMarkerMenu(client, self._listener.under_review, robot.home, reviewer, self._say)
         self._verdicts = ports.publishers["tool_marker/verdict"]
         self._server = MarkerServer("tool_marker", self._diagnostics.refuse)
         self._twin = ports.poses["twin/joint_states"]

@@ -40,11 +40,6 @@ class Settings(NodeSettings):
     payload: list[Annotated[float, pydantic.Field(allow_inf_nan=False)]] = []
 
 
-def has_mass(settings: Settings) -> bool:
-    """Return whether the twin is an arm with mass."""
-    return settings.twin != "kinematic"
-
-
 def is_simulated_here(settings: Settings) -> bool:
     """Return whether it is simulated in this process."""
     return settings.twin == "mujoco"
@@ -146,9 +141,8 @@ class VirtualRobotNode:
                     self._cycles.begin_at(stamp)
                 self._advance(stamp, q, self._clock.on_command(stamp, self._cycles.reach(stamp)))
                 return
-        self._diagnostics.refuse(
-            "order", "command before the arm's pose was taken over, away from it, or not newer than the last"
-        )
+        why = "command before the arm's pose was taken over, away from it, or not newer than the last"
+        self._diagnostics.refuse("order", why)
 
     def on_physical(self, stamp: int, q: tuple[float, ...]) -> None:
         """Take the arm's pose [rad] with its stamp [ns]; waits while the twin needs none."""
@@ -203,11 +197,8 @@ class VirtualRobotNode:
             return Report(OK, said)
         contacts = ", ".join(f"{first} + {second}" for first, second in self._backend.contacts)
         values = {"simulated scene": self._simulated.scene, "contacts": contacts or "none"}
-        problem = (
-            self._simulated.scene_problem
-            or self._backend.problem
-            or (contacts and f"the simulated arm touches: {contacts}")
-        )
+        touches = contacts and f"the simulated arm touches: {contacts}"
+        problem = self._simulated.scene_problem or self._backend.problem or touches
         return Report(WARN, problem, values) if problem else Report(OK, said, values)
 
 
@@ -215,7 +206,7 @@ INTERFACE = shell.Interface(
     report=VirtualRobotNode.report,
     publishes=(
         shell.PosePublication("twin/joint_states"),
-        shell.PosePublication("twin/commanded", when=has_mass),
+        shell.PosePublication("twin/commanded", when=shell.has_mass),
         shell.Publication("twin/effort", JointState, queue_size=5, when=is_simulated_here),
     ),
     hears=(
@@ -232,10 +223,9 @@ INTERFACE = shell.Interface(
 def check(settings: Settings, robot: RobotModel, *_: object) -> None:
     """Check that a twin with mass can be simulated; see `NodeShell`."""
     if settings.twin == "gazebo" and settings.payload:
-        raise ConfigurationError(
-            "payload", settings.payload, "none with twin:=gazebo, whose world knows no payload; twin:=mujoco does"
-        )
-    if has_mass(settings):
+        expected = "none with twin:=gazebo, whose world knows no payload; twin:=mujoco does"
+        raise ConfigurationError("payload", settings.payload, expected)
+    if shell.has_mass(settings):
         extension("physics")
     if is_simulated_here(settings):
         check_extras("physics")

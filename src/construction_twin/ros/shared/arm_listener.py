@@ -191,9 +191,8 @@ class OtherArm:
             try:
                 self._shape = self._arm.carrying(carried.objects)
             except SceneError as error:
-                raise NeighbourUnknownError(
-                    name, Sentence("what it carries cannot be used: {problem}", problem=str(error))
-                ) from error
+                problem = Sentence("what it carries cannot be used: {problem}", problem=str(error))
+                raise NeighbourUnknownError(name, problem) from error
             self._rows = np.empty(0) if plan is None else plan_rows(plan)[1]
             self._path = () if plan is None else self._shape.along(self._rows)
             self._known = known

@@ -39,11 +39,7 @@ class FrameError(PlanningError):
 
 
 #: Who publishes the frames of a robot's trees, by the tree's name, in the robot's namespace.
-PUBLISHERS = {
-    "twin": ("robot_state_publisher", "display"),
-    "physical": ("display",),
-    "preview": ("display",),
-}
+PUBLISHERS = {"twin": ("robot_state_publisher", "display"), "physical": ("display",), "preview": ("display",)}
 #: Trees for people to look at, which nothing here is told of: of a simulated pose, and of where the servos should have the arm.
 SHOWN = ("simulated", "expected")
 #: Messages that are kept for a callback that is busy: about a second of three trees and of other robots'.
@@ -83,9 +79,6 @@ class FrameListener:
         for problem in problems:
             self._refused(PUBLISHER, problem)
 
-    def _is_there(self, node: str | None) -> bool:
-        return node is not None and any(subscriber.hears(node) for subscriber in self._subscribers)
-
     def _forget_what_lies_ahead(self) -> None:
         """Empty the buffer when the clock was set back: tf takes nothing that is older than what it has."""
         now = rospy.Time.now()
@@ -104,7 +97,7 @@ class FrameListener:
         owner = self._owners.get(frame)
         if owner == caller:
             return ""
-        if not self._is_there(owner):
+        if owner is None or not any(subscriber.hears(owner) for subscriber in self._subscribers):
             self._owners[frame] = caller
             return ""
         return f"message from {who}; {owner} publishes the frame {frame} on /tf: end one of the two"

@@ -105,12 +105,8 @@ def expect_wall_clock(uri: str) -> None:
     except FAILURES:
         return
     if is_simulated is True:
-        raise ConfigurationError(
-            SIMULATED,
-            True,
-            "false: the twin and the arm go by this machine's clock; rosparam set use_sim_time false, or start on "
-            "another master (roslaunch -p 11312)",
-        )
+        to_do = "rosparam set use_sim_time false, or start on another master (roslaunch -p 11312)"
+        raise ConfigurationError(SIMULATED, True, f"false: the twin and the arm go by this machine's clock; {to_do}")
 
 
 def publishing_nodes(topic: str) -> list[str]:
@@ -135,10 +131,7 @@ def expect_publisher(topic: str, patience: float = ANSWER) -> None:
 
 
 def running(names: Iterable[str], uri: str, patience: float = NODE_TIMEOUT) -> list[RunningNode]:
-    """Return which nodes run now; none when there is no master.
-
-    One that was killed stays registered, so each is asked: refused connections and other names mean that it has ended.
-    """
+    """Return which nodes run now, each asked, because one that was killed stays registered; none when there is no master."""
     try:
         found = {name: ask(uri, TIMEOUT, "lookupNode", name) for name in names}
     except FAILURES:

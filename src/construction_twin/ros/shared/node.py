@@ -34,10 +34,7 @@ WRITE_TIME = 1.0
 
 
 def run_node(name: str, start: Callable[[], object], refused: Callable[[str], object] = refuse) -> None:
-    """Initialise ROS, build the node, serve until shutdown.
-
-    The result of `start` is kept alive; one with a `run` method is run in the main thread. `refused` takes why it cannot start.
-    """
+    """Initialise ROS, build the node, and run its `run` in the main thread, or serve; `refused` takes why it cannot start."""
     try:
         wait_for_master(name)
     except ConstructionTwinError as error:
@@ -136,10 +133,7 @@ def _report_lines_that_cannot_be_written() -> None:
 
 
 def end_on_error(args: threading.ExceptHookArgs) -> None:
-    """End the process because of an error that was not caught in a thread; while ROS shuts down, only write it down.
-
-    Nothing is cleaned up: the thread that failed may hold a lock.
-    """
+    """End the process because of an error in a thread, cleaning nothing up: it may hold a lock. At shutdown only write it down."""
     if args.exc_type is SystemExit:
         return
     where = args.thread.name if args.thread is not None else "a thread that has ended"

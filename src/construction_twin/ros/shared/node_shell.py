@@ -1,7 +1,4 @@
-"""A robot's node: its parameters, their check, and all that it has to do with ROS, as data; `Ports` opens that.
-
-A handler's first argument is the node; it is bound once, when the subscription is opened.
-"""
+"""A robot's node: its parameters, their check, and all that it has to do with ROS, as data; `Ports` opens that."""
 
 from __future__ import annotations
 
@@ -45,6 +42,16 @@ def always(_settings: Any) -> bool:
 def has_arm(settings: Any) -> bool:
     """Return whether there is a physical arm, mock or real."""
     return settings.arm != "none"
+
+
+def has_mass(settings: Any) -> bool:
+    """Return whether the twin is an arm with mass: then it has a pose beside the commanded one."""
+    return settings.twin != "kinematic"
+
+
+def knows_servos(settings: Any) -> bool:
+    """Return whether the arm is compared with a model of its servos."""
+    return bool(settings.servo_model) and has_arm(settings)
 
 
 @dataclass(frozen=True)
@@ -206,11 +213,8 @@ class Ports:
             self._diagnostics = NodeDiagnostics(robot.name, self._report)
         opened = ((each.topic, each.open(robot)) for each in interface.publishes if each.when(settings))
         self.publishers: dict[str, Sink] = {topic: publisher for topic, publisher in opened if publisher is not None}
-        self.poses = {
-            each.topic: LatestPose(each.topic, robot.joint_names, self.diagnostics.refuse)
-            for each in interface.reads
-            if each.when(settings)
-        }
+        reads = [each.topic for each in interface.reads if each.when(settings)]
+        self.poses = {topic: LatestPose(topic, robot.joint_names, self.diagnostics.refuse) for topic in reads}
         self._subscribers: dict[str, Subscriber] = {}
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import pydantic
 import rospy
@@ -17,14 +17,8 @@ from construction_twin.robot.description import RobotModel, load_robot
 Settings = TypeVar("Settings", bound=pydantic.BaseModel)
 
 
-class Parameters(Protocol):
-    """Where a node's parameters are: `rospy`, or what a launch file would set."""
-
-    def get_name(self) -> str:
-        """Return the node's name."""
-
-    def get_param(self, param_name: str, default: Any = ..., /) -> Any:
-        """Return a parameter's value by a name as the node has it; KeyError where there is none, and no default."""
+#: Where a node's parameters are: `rospy`, or what a launch file would set, with `get_name` and `get_param`.
+Parameters = Any
 
 
 class PrivateSettings(pydantic.BaseModel):

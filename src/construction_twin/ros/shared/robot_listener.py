@@ -44,12 +44,7 @@ REPORTS = tuple(_REPORTS)
 class RobotListener:
     """Keeps the newest message of each report from the node that publishes it; `refused`: why the last plan cannot be read."""
 
-    def __init__(
-        self,
-        namespace: str,
-        robot: RobotModel,
-        refuse: Callable[[str, str], None] | None = None,
-    ):
+    def __init__(self, namespace: str, robot: RobotModel, refuse: Callable[[str, str], None] | None = None):
         self._refuse = refuse or warn_of_refusals()
         self._namespace = namespace.rstrip("/")
         self._robot = robot
@@ -114,7 +109,6 @@ class RobotListener:
             silent["execution"] = now - self._heard["execution"]
         return Snapshot(
             robot=self._namespace.strip("/"),
-            now=rospy.get_time(),
             joints=self._robot.joint_names,
             linear=self._robot.linear,
             link=_record(LinkReport, newest.get("link")),

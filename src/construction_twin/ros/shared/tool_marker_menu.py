@@ -76,12 +76,8 @@ class ToolMarkerMenu:
         self._menu = MenuHandler()
         # the marker server ignores a second rviz for a second after the first one's last message; a stop must not be lost, so that
         # entry does nothing here, and on_feedback hears it from every rviz
-        self._entries = {
-            title: self._menu.insert(
-                title, callback=lambda _, title=title: None if title == STOP else self.choose(title)
-            )
-            for title in self._actions
-        }
+        calls = {title: lambda _, title=title: None if title == STOP else self.choose(title) for title in self._actions}
+        self._entries = {title: self._menu.insert(title, callback=call) for title, call in calls.items()}
 
     def attach(self, server: InteractiveMarkerServer, marker: str) -> None:
         """Give a marker of a server this menu."""

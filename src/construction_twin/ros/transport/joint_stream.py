@@ -140,10 +140,8 @@ def joint_values(message: JointState, names: tuple[str, ...]) -> tuple[float, ..
             or set(message.name) != set(names)
             or len(message.name) != len(names)
         ):
-            raise PayloadError(
-                "names",
-                f"joint state names {message.name}, {len(message.position)} positions; expected {list(names)}",
-            )
+            found = f"joint state names {message.name}, {len(message.position)} positions"
+            raise PayloadError("names", f"{found}; expected {list(names)}")
         by_name = dict(zip(message.name, message.position))
         q = tuple(by_name[name] for name in names)
     if not all(map(math.isfinite, q)):

@@ -23,14 +23,8 @@ class ServiceSilentError(ConstructionTwinError):
 
     def __init__(self, service: str, problem: object, program: str):
         problem = problem if isinstance(problem, Sentence) else str(problem)
-        super().__init__(
-            Sentence(
-                "{service} does not answer: {problem}; does {program} run?",
-                service=service,
-                problem=problem,
-                program=program,
-            )
-        )
+        named = {"service": service, "problem": problem, "program": program}
+        super().__init__(Sentence("{service} does not answer: {problem}; does {program} run?", **named))
 
 
 def call(service: rospy.ServiceProxy, program: str, **request):
@@ -51,10 +45,7 @@ def call_twice(service: rospy.ServiceProxy, program: str, **request):
 
 
 class PersistentService(rospy.ServiceProxy):
-    """As a persistent `rospy.ServiceProxy`, from several threads; arguments are named.
-
-    A call whose connection broke is repeated once: only for a service that may be called twice.
-    """
+    """As a persistent `rospy.ServiceProxy`, for several threads, and services that may be called twice, as a broken call is."""
 
     transport: TCPROSTransport | None
 

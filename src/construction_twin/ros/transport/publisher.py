@@ -23,10 +23,7 @@ class Sink(Protocol):
 
 
 class Publisher(rospy.Publisher):
-    """As `rospy.Publisher` with a `queue_size`, but a message goes out in the caller's thread; see `DirectConnection`.
-
-    While the node shuts down messages are dropped: rospy closes topics before it ends threads.
-    """
+    """As `rospy.Publisher`, but in the caller's thread (`DirectConnection`), and dropping messages while the node shuts down."""
 
     def __init__(self, name: str, data_class: type, queue_size: int, **options):
         super().__init__(name, data_class, queue_size=queue_size, **options)

@@ -1,7 +1,4 @@
-"""Subscriptions of this package's nodes: each stream has one publisher, and an error in a callback ends the node.
-
-A second bridge, a forgotten test or a `rosbag play` into a live system is refused.
-"""
+"""Subscriptions of this package's nodes: each stream has one publisher, and an error in a callback ends the node."""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,13 @@ from construction_twin.core.files import write_whole
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation.alignment import TwinPath
 from construction_twin.evaluation.recording import Recording
-from construction_twin.extensions.physics.identification import Drive, Identified, identify, servo_file
+from construction_twin.extensions.physics.identification import (
+    NO_MOTION,
+    Drive,
+    IdentifiedJoint,
+    identify,
+    servo_file,
+)
 from construction_twin.ros.commands.bag_report import bag_parser, report_bag
 from construction_twin.servo.model import PACE, STEADY
 
@@ -26,11 +33,7 @@ SHORTEST = 100
 
 
 def cycle_of(recording: Recording) -> int:
-    """Return the controller's cycle [ns], in whole ms: by how much command stamps advance from state to state, mostly.
-
-    Raises:
-        ConstructionTwinError: If the recording has no command stamps.
-    """
+    """Return the controller's cycle [ns], in whole ms: by how much command stamps advance from state to state, mostly."""
     feedback = recording.feedback
     if feedback is not None and len(feedback) > 1:
         steps = np.diff(feedback.seq.astype(np.int64)) == 1
@@ -38,9 +41,7 @@ def cycle_of(recording: Recording) -> int:
         advances = np.diff(feedback.command_stamps)[steps & known]
         if len(advances) and np.median(advances) >= NANOSECONDS // 1000:
             return round(float(np.median(advances)) * 1000 / NANOSECONDS) * (NANOSECONDS // 1000)
-    raise ConstructionTwinError(
-        "the recording holds no motion that begins at rest and answers commands as they were given"
-    )
+    raise ConstructionTwinError(NO_MOTION)
 
 
 def drives_of(recording: Recording, cycle_ns: int) -> list[Drive]:
@@ -51,15 +52,10 @@ def drives_of(recording: Recording, cycle_ns: int) -> list[Drive]:
 
     Args:
         cycle_ns: The controller's cycle [ns].
-
-    Raises:
-        ConstructionTwinError: If it holds no commands or no command stamps.
     """
     feedback, command = recording.feedback, recording.command
     if feedback is None or command is None:
-        raise ConstructionTwinError(
-            "the recording holds no motion that begins at rest and answers commands as they were given"
-        )
+        return []
     base = int(command.stamps.min())
     path = TwinPath(command, base)
     times = (feedback.command_stamps - base).astype(float)
@@ -120,11 +116,7 @@ COLUMNS = (
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Identify the servos from the bag named on the command line.
-
-    Returns:
-        0, or 1 after a sentence on standard error.
-    """
+    """Identify the servos from the bag named on the command line; return 0, or 1 after a sentence on standard error."""
     parser = bag_parser(
         "evaluate identify",
         "Find how the arm's servos answer their targets: a file for the argument servo_model.",
@@ -139,19 +131,19 @@ def main(arguments: list[str] | None = None) -> int:
         found = identify(recording.joint_names, drives, cycle_ns)
         directory.mkdir(parents=True, exist_ok=True)
         path = directory / "servos.yaml"
-        write_whole(path, servo_file(found.joints, cycle_ns, options.bag.name))
-        console.print(servo_table(found))
+        write_whole(path, servo_file(found, cycle_ns, options.bag.name))
+        console.print(servo_table(found, cycle_ns))
         return [path]
 
     return report_bag("evaluate identify", options, write)
 
 
-def servo_table(found: Identified) -> Table:
+def servo_table(joints: Sequence[IdentifiedJoint], cycle_ns: int) -> Table:
     """Return what was found, one row per joint: each fitted parameter with its standard deviation; what was not needed is empty."""
-    table = Table(title=f"servos, cycle {found.cycle_ns // 1_000_000} ms; +- one standard deviation", box=box.SIMPLE)
+    table = Table(title=f"servos, cycle {cycle_ns // 1_000_000} ms; +- one standard deviation", box=box.SIMPLE)
     for column in COLUMNS:
         table.add_column(column, justify="left" if column == "joint" else "right")
-    for each in found.joints:
+    for each in joints:
         scales = {"omega": 1.0, "zeta": 1.0, "delay": 1.0, "velocity": 1e3, "acceleration": 1e6, "backlash": 1e3}
         cells = [
             f"{scale * getattr(each.servo, name):.4g} +- {scale * each.deviations[name]:.1g}"
@@ -159,6 +151,6 @@ def servo_table(found: Identified) -> Table:
             else ""
             for name, scale in scales.items()
         ]
-        lag = f"{1e3 * each.servo.lag(found.cycle_ns * 1e-9):.3f} +- {1e3 * each.lag_error:.1g}"
+        lag = f"{1e3 * each.servo.lag(cycle_ns * 1e-9):.3f} +- {1e3 * each.lag_error:.1g}"
         table.add_row(each.name, *cells, lag, f"{1e6 * each.residual_rms:.1f}", f"{1e6 * each.residual_max:.1f}")
     return table

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import rospy
-from rich.console import Console
-from rich.progress import track
 
 from construction_twin.core.errors import ConstructionTwinError, spoken
 from construction_twin.core.extensions import check_extras, extension
@@ -25,52 +22,37 @@ from construction_twin.evaluation.tables import table_console
 from construction_twin.extensions.physics.known_mass import TOOL, body_of, masses_of
 from construction_twin.extensions.physics.process import digest, file_digest, prepared
 from construction_twin.planning.waypoints import plan_waypoints
+from construction_twin.review import rehearsal_report as states
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
 from construction_twin.robot.tool import read_tool
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.ros.commands.bag_report import read_plans
-from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene, tool_objects
 from construction_twin.scene.scene_yaml import read_scene
+from construction_twin.views.rehearsal_table import rehearsal_table
 
 #: Exit codes: the rehearsal passed, failed, or could not be made.
 PASSED, FAILED, BROKEN = 0, 1, 2
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Rehearse the plan named on the command line.
-
-    Returns:
-        0 if it passed, 1 if it failed, 2 after a sentence on standard error if it could not be made.
-    """
+    """Rehearse the plan named on the command line; return the exit code, `BROKEN` after a sentence on standard error."""
     options = _parser().parse_args(rospy.myargv()[1:] if arguments is None else arguments)
     try:
         check_extras("physics")
-        _load_mujoco()
         return _rehearse(options)
-    except (ConstructionTwinError, OSError) as error:
+    # the last two: MuJoCo is not what this machine can load
+    except (ConstructionTwinError, OSError, ImportError, RuntimeError) as error:
         print(f"rehearse: {spoken(error)}", file=sys.stderr)
         return BROKEN
 
 
-def _load_mujoco() -> None:
-    """Load MuJoCo, which refuses a value of MUJOCO_GL that it does not know, and a machine that lacks what it is linked to."""
-    try:
-        importlib.import_module("mujoco")
-    except (ImportError, OSError, RuntimeError) as error:
-        raise ConstructionTwinError(f"MuJoCo cannot be loaded: {' '.join(str(error).split())}") from error
-
-
 def _rehearse(options: argparse.Namespace) -> int:
-    # what follows needs the packages of the set-up's group
-    from construction_twin.extensions.physics.film import Film
-    from construction_twin.review import rehearsal_report as states
-    from construction_twin.views.rehearsal_table import rehearsal_table
-
+    if options.plan_id and options.plan.suffix != ".bag":
+        raise _wrong("--plan-id", options.plan_id, "a bag: a file of waypoints is one plan")
     options.drives = options.drives or _drives_beside(options.robot_config)
     robot = read_robot_files(options.robot_xacro, options.robot_config, options.robot_xacro_args)
-    _check_files(options)
     drives = "" if options.drives == "none" else options.drives
     payload = _numbers("--payload", options.payload, "MASS or MASS,X,Y,Z [kg], [m]") if options.payload else []
     arm = prepared(robot, options.self_collision, drives, options.tool, tuple(payload))
@@ -79,57 +61,22 @@ def _rehearse(options: argparse.Namespace) -> int:
     if tool is not None:
         for item in tool_objects(tool, robot.tip_link):
             scene = scene.add(item)
-    masses = _masses(options.mass, scene, arm.bodies)
-    if tool is not None:
-        masses |= masses_of({TOOL: tool.tool.mass}, (scene,), arm.bodies)
+    given = dict(map(_mass, options.mass))
+    bodies = {body_of(name) for name in scene.names}
+    if unknown := given.keys() - bodies:
+        raise _wrong(
+            "--mass", ", ".join(sorted(unknown)), f"bodies of the scene: {', '.join(sorted(bodies)) or 'none'}"
+        )
+    known = given if tool is None else given | {TOOL: tool.tool.mass}
+    masses = masses_of(known, (scene,), arm.bodies, standing=given)
     rehearsal = replace(arm, masses=masses, inputs=_inputs(options, masses))
     plan = _plan(*_trajectory(options, robot), scene)
-    film = Film() if options.picture or options.video else None
-    report = rehearsal.of_plan(plan, {scene.hash: scene}, time.perf_counter, film.watch if film else None)
-    console = table_console(stderr=bool(options.json))
+    report = rehearsal.of_plan(plan, {scene.hash: scene}, time.perf_counter)
     if options.json:
         print(json.dumps(document(report), indent=2, sort_keys=True))
     else:
-        console.print(rehearsal_table(report), soft_wrap=True)
-    if film is not None and report.axes:
-        _draw(options, film, report, console)
+        table_console().print(rehearsal_table(report), soft_wrap=True)
     return {states.PASSED: PASSED, states.FAILED: FAILED}.get(report.state, BROKEN)
-
-
-def _draw(options: argparse.Namespace, film, report, console: Console) -> None:
-    """Write picture and video; that they cannot be drawn here changes nothing of the result.
-
-    Both carry of which result they are, and what simulated: the picture as `Description`, the video as `comment`.
-    """
-    from construction_twin.views.rehearsal_table import headline
-
-    touching = frozenset(name for one in report.contacts for name in (one.first, one.second))
-    worst = report.contacts[0].time if report.contacts else report.worst_time
-    caption = f"{headline(report)}; {report.engine}; hash {report.hash}"
-    try:
-        if options.picture:
-            # matplotlib takes a second to import
-            from matplotlib.image import imsave
-
-            imsave(
-                options.picture, np.ascontiguousarray(film.picture(worst, touching)), metadata={"Description": caption}
-            )
-            console.print(f"{options.picture}: after {worst:.2f} s", soft_wrap=True)
-        if options.video:
-            _write_video(options, film, touching, caption, console)
-    except (ConstructionTwinError, OSError) as error:
-        print(f"rehearse: {spoken(error)}", file=sys.stderr)
-
-
-def _check_files(options: argparse.Namespace) -> None:
-    """Refuse what cannot be written before the work is done, and an option that says nothing of this plan."""
-    for option, file, suffix in (("--picture", options.picture, ".png"), ("--video", options.video, ".mp4")):
-        if file is None:
-            continue
-        if file.suffix.lower() != suffix or file.is_dir() or not file.absolute().parent.is_dir():
-            raise _wrong(option, str(file), f"a file *{suffix} in a folder that is there")
-    if options.plan_id and options.plan.suffix != ".bag":
-        raise _wrong("--plan-id", options.plan_id, "a bag: a file of waypoints is one plan")
 
 
 def _drives_beside(robot_config: str) -> str:
@@ -143,47 +90,6 @@ def _inputs(options: argparse.Namespace, masses: Mapping[str, float]) -> str:
     """Return the hash of what decides the result beside plan, scene and tool."""
     files = [file_digest(file if file != "none" else "") for file in (options.drives, options.self_collision)]
     return digest(*files, dict(sorted(masses.items())), options.payload)
-
-
-def _masses(given: Sequence[str], scene: Scene, bodies: RobotBodies) -> dict[str, float]:
-    """Return the masses that `--mass` says, by object [kg]; one of a body is divided as its objects' volumes are."""
-    from construction_twin.extensions.physics.mass import of_object
-
-    found: dict[str, float] = {}
-    for name, mass in map(_mass, given):
-        pieces = [item for item in scene.objects if name in (item.name, body_of(item.name))]
-        if not pieces:
-            raise ConstructionTwinError(
-                f"--mass {name!r}: the scene has no object and no body of this name, only {', '.join(scene.names) or '-'}"
-            )
-        volumes = {item.name: of_object(bodies.place(item, scene.names)).mass for item in pieces}
-        found |= {piece: mass * volume / sum(volumes.values()) for piece, volume in volumes.items()}
-    return found
-
-
-def _write_video(options: argparse.Namespace, film, touching, caption: str, console: Console) -> None:
-    import imageio_ffmpeg
-
-    from construction_twin.extensions.physics.film import HEIGHT, WIDTH
-
-    pictures = film.pictures(options.rate, touching)
-    try:
-        writer = imageio_ffmpeg.write_frames(
-            str(options.video), (WIDTH, HEIGHT), fps=options.rate, codec="libx264",
-            output_params=["-metadata", f"comment={caption}"],
-        )  # fmt: skip
-        writer.send(None)
-        count, quiet = film.count(options.rate), not console.is_terminal
-        for picture in track(pictures, "video", count, console=console, transient=True, disable=quiet):
-            writer.send(np.ascontiguousarray(picture))
-        writer.close()
-    # RuntimeError: there is no ffmpeg. OSError without a number: it ended early, and its own words are on standard error
-    except (OSError, RuntimeError) as error:
-        ended = isinstance(error, OSError) and error.errno is None
-        problem = "the program ffmpeg ended early" if ended else spoken(error)
-        raise ConstructionTwinError(f"the video could not be encoded: {problem}") from error
-    version = imageio_ffmpeg.get_ffmpeg_version()
-    console.print(f"{options.video}: {options.rate:g} pictures/s, H.264 by ffmpeg {version}", soft_wrap=True)
 
 
 def _trajectory(options: argparse.Namespace, robot: RobotModel) -> tuple[Trajectory, str]:
@@ -237,13 +143,6 @@ def _wrong(option: str, found: str, expected: str) -> ConstructionTwinError:
     return ConstructionTwinError(f"{option} {found!r}: expected {expected}")
 
 
-def _rate(text: str) -> float:
-    rate = float(text)
-    if not 1.0 <= rate <= 250.0:
-        raise ValueError(text)
-    return rate
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="evaluate rehearse",
@@ -258,7 +157,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--scene", default="none", metavar="FILE", help="scene YAML (default: nothing stands around)")
     parser.add_argument("--payload", default="", metavar="KG[,X,Y,Z]", help="mass at the flange, and its centre [m]")
     parser.add_argument(
-        "--mass", action="append", default=[], metavar="NAME=KG", help="mass of an object, which can then be moved"
+        "--mass", action="append", default=[], metavar="NAME=KG", help="mass of a body, which can then be moved"
     )
     parser.add_argument(
         "--tool",
@@ -266,9 +165,6 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="tool file: what is at the flange, what it weighs, what its cups hold",
     )
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the worst moment: .png")
-    parser.add_argument("--video", type=Path, metavar="FILE", help="draw the whole rehearsal: .mp4")
-    parser.add_argument("--rate", type=_rate, default=25.0, metavar="HZ", help="pictures per second [%(default)g]")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     files = {
         "--robot-xacro": ("urdf/kr120r2500.urdf.xacro", "URDF or xacro"),

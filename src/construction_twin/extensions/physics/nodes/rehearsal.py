@@ -1,15 +1,15 @@
-"""rehearsal: has every plan carried out by the simulated arm as soon as it is made, and says what that found (`rehearsal`).
+"""rehearsal: has every plan carried out by the simulated arm as soon as it is made, and publishes what that found (`rehearsal`).
 
-It moves nothing and decides nothing. The simulation is a process of its own behind everything else (`physics_process`), so that
-what happens to it is an answer: a rehearsal that breaks off, or takes too long, is published as `broken`.
+The simulation is a process of its own (`physics.process`): a rehearsal that breaks off, or takes too long, is `broken`.
 """
 
 from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple
 
 import pydantic
 import rospy
@@ -19,8 +19,8 @@ from construction_twin.core.extensions import check_extras
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.worker import Worker
 from construction_twin.extensions.physics.drive import read_drives
+from construction_twin.extensions.physics.known_mass import element_masses, tool_mass
 from construction_twin.extensions.physics.mass import payload_of
-from construction_twin.extensions.physics.nodes.element_masses import element_masses, placed_elements, tool_mass
 from construction_twin.extensions.physics.process import PROGRAM, Question, digest, file_digest
 from construction_twin.msg import Plan as PlanMsg
 from construction_twin.msg import Rehearsal, Review, WorkTasks
@@ -43,6 +43,8 @@ from construction_twin.scene.self_collision import read_self_collision
 
 #: A plan may come so long before the scene that it begins in [s].
 SCENE_DELAY = 1.0
+#: The state of `WorkTask.msg` in which an element stands at its place.
+PLACED = "done"
 #: Scenes, plans and verdicts that are remembered.
 _KEPT = 12
 #: How often the main thread looks whether this process is to end [s].
@@ -50,12 +52,11 @@ _AWAKE = 0.5
 
 
 class Settings(PrivateSettings):
-    """Private parameters; see config/rehearsal.yaml, the others are given in launch/bringup.launch.
+    """Private parameters; see config/rehearsal.yaml and launch/bringup.launch.
 
     Attributes:
         mode: Of the launch argument `rehearsal`; with `auto` nothing is rehearsed where MuJoCo is not installed.
-        drives: Empty: what the URDF says, and nothing is known of motors and rating.
-        payload: At the flange at all times: mass [kg], or mass and centre in the tip link [m]; empty: nothing.
+        payload: As in `payload_of`.
     """
 
     mode: Literal["auto", "advise", "require"]
@@ -66,8 +67,7 @@ class Settings(PrivateSettings):
     payload: list[Annotated[float, pydantic.Field(allow_inf_nan=False)]] = []
 
 
-@dataclass(frozen=True, eq=False)
-class _Job:
+class _Job(NamedTuple):
     """A plan that is to be rehearsed, and what its segments make of the scene."""
 
     plan: Plan
@@ -93,7 +93,9 @@ class RehearsalNode:
             rospy.loginfo("%s", self._absent)
         self._tool, self._of_tool = tool_hash(settings.tool), tool_mass(settings.tool)
         payload = [settings.payload] if settings.payload else []
-        self._constant = digest(file_digest(settings.drives), file_digest(settings.self_collision), *payload)
+        # an arm may have no file of its drives
+        drives = settings.drives if Path(settings.drives).is_file() else ""
+        self._constant = digest(file_digest(drives), file_digest(settings.self_collision), *payload)
         self._news = threading.Condition()
         self._scenes: dict[str, Scene] = {}
         self._masses, self._placed = dict(self._of_tool), frozenset[str]()
@@ -123,7 +125,8 @@ class RehearsalNode:
     def on_tasks(self, message: WorkTasks) -> None:
         """Take what the elements of the tasks weigh, and which of them were placed."""
         with self._news:
-            self._masses, self._placed = {**element_masses(message), **self._of_tool}, placed_elements(message)
+            self._masses = element_masses(message.tasks) | self._of_tool
+            self._placed = frozenset(task.element for task in message.tasks if task.state == PLACED)
             self._knows_tasks = True
             self._news.notify_all()
 

@@ -10,9 +10,9 @@ import rospy
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.worker import Worker
 from construction_twin.extensions.physics.drive import read_drives
+from construction_twin.extensions.physics.known_mass import element_masses, tool_mass
 from construction_twin.extensions.physics.live_twin import LiveTwin
 from construction_twin.extensions.physics.mass import payload_of
-from construction_twin.extensions.physics.nodes.element_masses import element_masses, tool_mass
 from construction_twin.extensions.physics.process import PROGRAM
 from construction_twin.msg import Scene, WorkTasks
 from construction_twin.robot.description import RobotModel
@@ -23,13 +23,11 @@ class SimulatedTwin:
     """A LiveTwin whose models are built for each scene, in a process of their own.
 
     Attributes:
-        twin: The backend.
-        scene: Hash of the scene that is simulated.
+        scene: Hash of the simulated scene.
         scene_problem: Why the newest scene is not simulated; empty: it is.
     """
 
     def __init__(self, settings, robot: RobotModel, refuse: Callable[[str, str], None]):
-        """`settings`: those of `virtual_robot`; `refuse`: its diagnostics'."""
         self.twin = LiveTwin()
         arm = {"robot": robot, "payload": tuple(settings.payload)}
         arm |= {name: getattr(settings, name) for name in ("self_collision", "drives")}
@@ -62,8 +60,8 @@ class SimulatedTwin:
             rospy.loginfo("%s", remark)
 
     def on_tasks(self, message: WorkTasks) -> None:
-        """Keep what elements weigh; it counts from the next scene on, which is the one in which the arm carries one."""
-        self._masses = element_masses(message)
+        """Store what elements weigh, for the next scene: in that the arm carries one."""
+        self._masses = element_masses(message.tasks)
 
 
 def check(settings, robot: RobotModel) -> None:
