@@ -85,7 +85,7 @@ class SuctionGrip:
 
 
 class GripWatch:
-    """Records what cups must exert on a workpiece, cycle by cycle; `pieces`: names of its objects, `joint`: that carries the tip."""
+    """Records what cups must exert on a workpiece, cycle by cycle; `pieces`: names of its objects, `joint`: above the tip."""
 
     def __init__(
         self,
