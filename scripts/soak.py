@@ -27,6 +27,7 @@ CYCLES = (
     "commands_lost",
     "telegrams_skipped",
     "ipoc_steps_irregular",
+    "sessions_by_ipoc_jump",
     "stops_silence",
     "stops_refused",
 )

@@ -1,16 +1,20 @@
 #!/usr/bin/env python3
 """The whole system on a site's broker: TLS, an account for each program, a person at a tablet, and a planner elsewhere."""
 
+import os
 import shutil
+import signal
+import subprocess
 import sys
 import tempfile
+import threading
 import unittest
 from pathlib import Path
 
 import rospy
 import rostest
-from elsewhere import RemotePlanner, Tablet
-from started import Started
+from remote_planner import RemotePlanner
+from tablet import Tablet
 from twin_client import HOME, LEFT, Stream, TwinClient, wait
 
 from construction_twin.broker.make_site import main as make_site
@@ -32,24 +36,35 @@ class SiteTest(unittest.TestCase):
         assert make_site([str(site), *arguments, "--person", "ada:operate", "--person", "anna:operate,approve"]) == 0
         command = ["roslaunch", "construction_twin", "bringup.launch", f"accounts:={site}/accounts",
                    "broker_host:=localhost", f"broker_port:={PORT}", "rsi_port:=49260"]  # fmt: skip
-        cls.launch = Started(*command)
-        cls.addClassCleanup(cls.launch.end)
+        cls.output: list[str] = []
+        # the test's own namespace is not bringup's
+        outside = {name: value for name, value in os.environ.items() if name != "ROS_NAMESPACE"}
+        launch = subprocess.Popen(
+            command, env=outside, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
+        )
+        threading.Thread(target=lambda: cls.output.extend(launch.stdout), daemon=True).start()
+        cls.addClassCleanup(cls._end, launch)
         try:
             wait(lambda: rospy.has_param("gateway/decimals"), "bringup's parameters", 60.0)
         except AssertionError as error:
-            raise AssertionError(f"{error}\n{cls.launch.said()[-3000:]}") from None
+            raise AssertionError(f"{error}\n{''.join(cls.output)[-3000:]}") from None
         rospy.init_node("test_site")
         cls.client = TwinClient()
         cls.tablet = Tablet(site / "accounts/anna/account.json", PORT, TOPICS)
-        cls.addClassCleanup(cls.tablet.close)
+        cls.addClassCleanup(cls.tablet.client.disconnect)
         cls.planner = RemotePlanner(site / "accounts/ada/account.json", PORT, TOPICS)
-        cls.addClassCleanup(cls.planner.close)
+        cls.addClassCleanup(cls.planner.client.disconnect)
+
+    @staticmethod
+    def _end(launch: subprocess.Popen) -> None:
+        launch.send_signal(signal.SIGINT)
+        launch.wait(30.0)
 
     def setUp(self):
         try:
             self.client.wait_until_ready()
         except AssertionError as error:
-            self.fail(f"{error}\n{self.launch.said()[-3000:]}")
+            self.fail(f"{error}\n{''.join(self.output)[-3000:]}")
         wait(self.tablet.client.is_connected, "the tablet's connection")
         wait(self.sees_all, "a view with everything in it")
         rospy.wait_for_service("plan_trajectory", 20.0)
@@ -64,7 +79,7 @@ class SiteTest(unittest.TestCase):
         goal = tuple(0.5 * (a + b) for a, b in zip(HOME, LEFT))
         with Stream("physical/joint_states") as arm, Stream("twin/joint_states") as twin:
             still = arm.positions()
-            answer = self.planner.send(goal, source="facade 7", speed_scale=0.3)
+            answer = self.planner.send(self.planner.motion(goal, source="facade 7", speed_scale=0.3))
             self.assertTrue(answer["ok"], answer)
             wait(lambda: (self.tablet.plan or {}).get("id") == answer["plan_id"], "the plan at the tablet")
             plan = self.tablet.plan
@@ -72,7 +87,7 @@ class SiteTest(unittest.TestCase):
             self.assertEqual(plan["source"], "MQTT account ada, which says it is 'facade 7'")
             self.assertTrue((arm.positions() == still[0]).all(), "the arm moved before anybody had approved")
             seen = len(self.planner.views)
-            self.assertTrue(self.tablet.approve(plan)["ok"])
+            self.assertTrue(self.tablet.verdict(plan, "approved")["ok"])
             self.client.wait_for_outcome(answer["plan_id"], "finished")
             self.client.assert_at(goal, twin, arm)
             wait(
@@ -106,7 +121,7 @@ class SiteTest(unittest.TestCase):
             planned = self.client.plan_to(LEFT)
             wait(lambda: (self.tablet.plan or {}).get("id") == planned.plan_id, "the plan at the tablet")
             still = arm.positions()[-1]
-            self.assertTrue(self.tablet.approve(self.tablet.plan)["ok"])
+            self.assertTrue(self.tablet.verdict(self.tablet.plan, "approved")["ok"])
             wait(lambda: abs(arm.positions()[-1] - still).max() > 0.02, "motion")
             answer = self.tablet.stop()
             self.assertTrue(answer["ok"], answer)

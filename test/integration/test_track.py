@@ -10,8 +10,8 @@ import rospy
 import rostest
 import tf2_ros
 from construction_twin.srv import PlanToPose
-from elsewhere import Elsewhere
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from mqtt_listener import MqttListener
 from twin_client import RobotTest, Stream, TwinClient, case
 
 from construction_twin.core.units import CYCLE_NS
@@ -19,7 +19,6 @@ from construction_twin.evaluation.alignment import align_lag_removed, task_windo
 from construction_twin.evaluation.bag import read_recording
 from construction_twin.evaluation.report import write_report
 from construction_twin.kinematics.chain import Chain
-from construction_twin.mqtt.client import Broker
 from construction_twin.ros.commands.recorder import Recorder
 
 #: In the robot's order: the track [mm], then A1 to A6 [deg]; no two alike.
@@ -43,10 +42,11 @@ class TrackTest(RobotTest):
         cls.chain = Chain(cls.client.robot)
         for service in ("plan_to_pose", "plan_cartesian"):
             rospy.wait_for_service(service, 60.0)
-        broker = Broker("127.0.0.1", rospy.get_param("~broker_port"))
-        topics = "twin/kr120/command", "twin/kr120/state"
-        cls.mqtt = Elsewhere(broker, *topics, read=lambda message: message.payload)
-        cls.addClassCleanup(cls.mqtt.close)
+        cls.mqtt = MqttListener(rospy.get_param("~broker_port"), ("twin/kr120/command", "twin/kr120/state"))
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.mqtt.close()
 
     def setUp(self):
         self.begin(60.0)
@@ -61,7 +61,7 @@ class TrackTest(RobotTest):
             self.assertLess(abs(arm.positions(-1)[0][0] - 0.6123), FINAL_TRACK_ERROR)
             for topic in ("twin/kr120/command", "twin/kr120/state"):
                 with case(topic):
-                    self.client.wait(lambda t=topic: self.mqtt.newest(t) == GOAL_STRING, f"{GOAL_STRING} on {topic}")
+                    self.client.wait(lambda t=topic: self.mqtt.last.get(t) == GOAL_STRING, f"{GOAL_STRING} on {topic}")
             self.client.assert_within_limits(arm, missed)
 
     def test_tf_puts_the_arm_where_the_track_is(self):

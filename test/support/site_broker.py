@@ -14,7 +14,6 @@ from processes import ROOT, listens, wait_until
 from construction_twin.broker.access import Site
 from construction_twin.broker.make_site import SiteFolder
 from construction_twin.mqtt.client import Account, Broker, load_account, make_client, unique_id
-from construction_twin.mqtt.failures import ConnectionReport
 
 HOSTS = ("localhost", "127.0.0.1")
 ROBOTS = ("one", "two")
@@ -67,35 +66,6 @@ class SiteBroker:
         """Return where a client finds this broker, on the port for its kind of account."""
         certificate = account is not None and bool(account.cert_file)
         return Broker(host, self.site.port + certificate, account=account, **changes)
-
-
-class Attempt:
-    """A client that connects as the nodes do while its block runs, how often it was welcome, and what it reports."""
-
-    def __init__(self, broker: Broker, client_id: str = "", will: str = "unused/attempt", direct: bool = False):
-        self.said: list[str] = []
-        self.welcomes = 0
-        self.report = ConnectionReport(broker, self.said.append)
-        self.client = make_client(broker, client_id or unique_id("one", "attempt"), will, direct=direct)
-        self.report.watch(self.client)
-        self.client.on_connect = self._on_connect
-        self.client.on_disconnect = lambda c, u, f, code, p: self.report.lost(code)
-        self.client.connect_async(broker.host, broker.port, broker.keepalive)
-
-    def _on_connect(self, client, userdata, flags, reason_code, properties) -> None:
-        if reason_code.is_failure:
-            self.report.refused(reason_code)
-        else:
-            self.welcomes += 1
-            self.report.connected(client, properties)
-
-    def __enter__(self) -> Attempt:
-        self.client.loop_start()
-        return self
-
-    def __exit__(self, *_) -> None:
-        self.client.disconnect()
-        self.client.loop_stop()
 
 
 class Listener:

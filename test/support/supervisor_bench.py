@@ -10,6 +10,7 @@ import pytest
 
 from construction_twin.core.units import NANOSECONDS, last_digit
 from construction_twin.link.bare_supervisor import BareSupervisor
+from construction_twin.link.gateway_status import GatewayAnswer, GatewayStatus, parse_status, read
 from construction_twin.link.observations import LinkState
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.messages import PROTOCOL
@@ -34,15 +35,21 @@ def moved(distance: float) -> tuple[float, ...]:
     return (POSE[0] + distance, POSE[1])
 
 
-class _LinkBench:
+class Bench:
     """A supervisor, its clock, and what the world around it does in every poll."""
 
-    def __init__(self, kind: type, *more):
+    def __init__(self, mirrors: bool = False):
         ids = map(str, itertools.count(1))
-        self.supervisor = kind(CONFIG, lambda: next(ids), *more)
+        self.supervisor = LinkSupervisor(CONFIG, lambda: next(ids), mirrors)
         self.now = 100 * NANOSECONDS
+        self.gateway = {
+            "state": "ready", "reason": "", "session": "", "fault": False, "fault_number": 0, "run": RUN, "hash": HASH,
+            "decimals": DECIMALS, "protocol": PROTOCOL,
+        }  # fmt: skip
         self.pose: tuple[float, ...] | None = POSE
         self.command: tuple[float, ...] | None = POSE
+        self.answering = True
+        self.speaking = True
         self.sent = []
         self.forwarded = False
         self.supervisor.inputs.on_connection(True)
@@ -50,38 +57,6 @@ class _LinkBench:
     @property
     def state(self) -> LinkState:
         return self.supervisor.state
-
-    def poll(self):
-        self.now += POLL
-        self.speak()
-        if self.command is not None:
-            self.forwarded = bool(self.supervisor.on_command(self.command, self.now))
-        control = self.supervisor.poll(self.now)
-        if control is not None:
-            self.sent.append(control)
-            self.carry_out(control)
-        return control
-
-    def run(self, seconds: float):
-        for _ in range(round(seconds * 50)):
-            self.poll()
-        return self
-
-    def carry_out(self, control) -> None:
-        """Do what a control message asks for."""
-
-
-class Bench(_LinkBench):
-    """With a gateway."""
-
-    def __init__(self, mirrors: bool = False):
-        super().__init__(LinkSupervisor, mirrors)
-        self.gateway = {
-            "state": "ready", "reason": "", "session": "", "fault": False, "fault_number": 0, "run": RUN, "hash": HASH,
-            "decimals": DECIMALS, "protocol": PROTOCOL,
-        }  # fmt: skip
-        self.answering = True
-        self.speaking = True
 
     def set_gateway(self, state: str, reason: str = "", **other) -> None:
         """Let the gateway say this from now on; as the real one does, it names a stop's cause, here the sentence's first word."""
@@ -91,11 +66,24 @@ class Bench(_LinkBench):
             self.gateway["fault_number"] += 1
         self.gateway |= {"state": state, "reason": reason} | other
 
-    def speak(self) -> None:
+    def poll(self):
+        self.now += POLL
         if self.speaking:
-            self.supervisor.inputs.on_status(dict(self.gateway), self.now)
+            self.supervisor.inputs.on_status(read(GatewayStatus, self.gateway), self.now)
         if self.pose is not None:
             self.supervisor.inputs.on_pose(self.pose, self.now)
+        if self.command is not None:
+            self.forwarded = bool(self.supervisor.on_command(self.command, self.now))
+        control = self.supervisor.poll(self.now)
+        if control is not None:
+            self.sent.append(control)
+            self.carry_out(control)
+        return control
+
+    def run(self, seconds: float) -> Bench:
+        for _ in range(round(seconds * 50)):
+            self.poll()
+        return self
 
     def carry_out(self, control) -> None:
         """What the real gateway does with these verbs when nothing moves."""
@@ -107,7 +95,7 @@ class Bench(_LinkBench):
             self.answer(control)
 
     def answer(self, control, ok: bool = True, reason: str = "") -> None:
-        self.supervisor.on_answer({"id": control.id, "ok": ok, "reason": reason}, self.now)
+        self.supervisor.on_answer(GatewayAnswer(id=control.id, ok=ok, reason=reason), self.now)
 
     def refuse(self, control, reason: str) -> None:
         self.answer(control, False, reason)
@@ -117,20 +105,32 @@ class Bench(_LinkBench):
         return [control.verb for control in self.sent]
 
 
-class BareBench(_LinkBench):
-    """With a bare PLC: it says a word, or none, and its pose; its strings may be refused."""
+class BareBench:
+    """The same around a bare PLC: it says a word, or none, and its pose; its strings may be refused."""
 
     def __init__(self):
-        super().__init__(BareSupervisor)
+        ids = map(str, itertools.count(1))
+        self.supervisor = BareSupervisor(CONFIG, lambda: next(ids))
+        self.now = 100 * NANOSECONDS
         self.word: str | None = "ready"
         self.refusal = ""
+        self.pose: tuple[float, ...] | None = POSE
+        self.command: tuple[float, ...] | None = POSE
+        self.sent = []
+        self.forwarded = False
+        self.supervisor.inputs.on_connection(True)
         self._said: str | None = None
+
+    @property
+    def state(self) -> LinkState:
+        return self.supervisor.state
 
     def say(self, word: str) -> None:
         """Let the PLC say a word now."""
-        self.supervisor.inputs.on_status({"state": word, "kind": "plc"}, self.now)
+        self.supervisor.inputs.on_status(parse_status(word.encode()), self.now)
 
-    def speak(self) -> None:
+    def poll(self) -> None:
+        self.now += POLL
         if self.word is not None and self.word != self._said:
             # retained, and said once: not repeated as a gateway's status is
             self.say(self.word)
@@ -139,6 +139,16 @@ class BareBench(_LinkBench):
             self.supervisor.inputs.on_pose_refused(self.refusal, self.now)
         elif self.pose is not None:
             self.supervisor.inputs.on_pose(self.pose, self.now)
+        if self.command is not None:
+            self.forwarded = bool(self.supervisor.on_command(self.command, self.now))
+        control = self.supervisor.poll(self.now)
+        if control is not None:
+            self.sent.append(control)
+
+    def run(self, seconds: float) -> BareBench:
+        for _ in range(round(seconds * 50)):
+            self.poll()
+        return self
 
 
 @pytest.fixture

@@ -15,27 +15,43 @@ import pytest
 from paho.mqtt import client as paho
 from processes import ROOT, listens, wait_until
 from service_cell import CONFIG
-from site_broker import Attempt, Listener, free_ports
+from site_broker import Listener, free_ports
 
 from construction_twin.core.udp import bind
 from construction_twin.gateway.service import GatewayService
-from construction_twin.mqtt.client import OFFLINE, Broker
+from construction_twin.mqtt.client import OFFLINE, Broker, make_client
+from construction_twin.mqtt.failures import ConnectionReport
 from construction_twin.mqtt.messages import Topics
 
 ID = "one-bridge-0123456789abcdef"
 WILL_TOPIC = "twin/one/bridge/status"
 
 
-class Program(Attempt):
-    """A client that was welcome when its block begins."""
+class Program:
+    """A client as the nodes have it, and what it reports."""
 
-    def __init__(self, broker: Broker, direct: bool = False):
-        super().__init__(broker, ID, WILL_TOPIC, direct)
+    def __init__(self, broker: Broker, client_id: str, direct: bool = False):
+        self.said: list[str] = []
+        self.welcomes = 0
+        self.report = ConnectionReport(broker, self.said.append)
+        self.client = make_client(broker, client_id, WILL_TOPIC, direct=direct)
+        self.client.on_connect = self._on_connect
+        self.client.on_disconnect = lambda c, u, f, code, p: self.report.lost(code)
+        self.client.connect_async(broker.host, broker.port, broker.keepalive)
+        self.client.loop_start()
+
+    def _on_connect(self, client, userdata, flags, reason_code, properties) -> None:
+        assert not reason_code.is_failure, str(reason_code)
+        self.welcomes += 1
+        self.report.connected(client, properties)
 
     def __enter__(self) -> Program:
-        super().__enter__()
         wait_until(lambda: self.welcomes, what="the broker's welcome")
         return self
+
+    def __exit__(self, *_) -> None:
+        self.client.disconnect()
+        self.client.loop_stop()
 
 
 class Speaker(Program):
@@ -51,7 +67,7 @@ def test_a_connection_that_fell_silent_returns_with_the_id_it_had(tmp_path):
     with mosquitto((ROOT / "config/mosquitto.conf").read_text(), tmp_path / "log") as port:
         with socket.create_server(("127.0.0.1", 0)) as listener:
             line = Line(listener, port)
-            with Program(Broker("127.0.0.1", listener.getsockname()[1], keepalive=1)) as program:
+            with Program(Broker("127.0.0.1", listener.getsockname()[1], keepalive=1), ID) as program:
                 line.cut.set()
                 wait_until(lambda: program.welcomes == 2, 20.0, "its return")
                 assert "Keep alive timeout" in program.said[0] and program.client._client_id == ID.encode()
@@ -97,7 +113,7 @@ def test_a_connection_that_the_network_has_reset_is_ended_at_the_broker_before_t
         socket.create_server(("127.0.0.1", 0)) as server,
     ):
         line = Line(server, port)
-        with Speaker(Broker("127.0.0.1", server.getsockname()[1], keepalive=3), direct) as program:
+        with Speaker(Broker("127.0.0.1", server.getsockname()[1], keepalive=3), ID, direct) as program:
             wait_until(lambda: len(listener.messages) == 1, what="its first word")
             line.reset()
             # one more where the reset was before the first word's acknowledgement: paho sends that word again

@@ -133,25 +133,33 @@ def test_250_hz_both_ways_lose_nothing_and_keep_their_order(ways):
         assert [payload for _, payload in bridge.messages] == states
 
 
-@pytest.mark.parametrize("kind", ["tcp", "tls"])
-def test_finds_the_broker_again_after_its_restart(kind, tmp_path):
-    if kind == "tcp":
-        process = BrokerProcess()
-        broker, kill = Broker(port=process.port), process.kill
-    else:
-        process = SiteBroker(tmp_path / "site", certificates=False)
-        broker, kill = process.broker(process.account("one-gateway")), process.stop
+def test_finds_the_broker_again_after_its_restart():
+    process = BrokerProcess()
     process.start()
     try:
-        with loop_of(broker) as loop:
+        with loop_of(Broker(port=process.port)) as loop:
             loop.turn_until(lambda: loop.mqtt.connected, "the connection")
-            kill()
+            process.kill()
             loop.turn_until(lambda: not loop.mqtt.connected and loop.failures, "the loss")
             assert isinstance(loop.failures[0], ConnectionRefusedError)
             process.start()
             loop.turn_until(lambda: loop.mqtt.connected, "the new connection")
     finally:
-        kill()
+        process.kill()
+
+
+def test_finds_a_site_s_broker_again_after_its_restart(tmp_path):
+    site = SiteBroker(tmp_path / "site", certificates=False)
+    site.start()
+    try:
+        with loop_of(site.broker(site.account("one-gateway"))) as loop:
+            loop.turn_until(lambda: loop.mqtt.connected, "the connection")
+            site.stop()
+            loop.turn_until(lambda: not loop.mqtt.connected and loop.failures, "the loss")
+            site.start()
+            loop.turn_until(lambda: loop.mqtt.connected, "the new connection")
+    finally:
+        site.stop()
 
 
 def test_every_attempt_that_fails_is_told_with_its_error(site):
@@ -177,13 +185,13 @@ class ScriptedBroker(threading.Thread):
     def run(self) -> None:
         with self._socket, self._context.wrap_socket(self._socket.accept()[0], server_side=True) as line:
             line.recv(4096)
-            line.sendall(b"\x20\x02\x00\x00" + self._payload)
+            line.sendall(b"\x20\x03\x00\x00\x00" + self._payload)
             self.ended.wait(30.0)
 
 
 def packet(payload: bytes) -> bytes:
-    """Return an MQTT 3.1.1 PUBLISH with QoS 0 on topic t."""
-    body = struct.pack(">H", 1) + b"t" + payload
+    """Return an MQTT 5 PUBLISH with QoS 0 on topic t."""
+    body = struct.pack(">H", 1) + b"t\0" + payload
     return bytes((0x30, len(body))) + body
 
 
@@ -193,7 +201,7 @@ def test_packets_that_share_a_tls_record_do_not_wait_for_the_next_one(site, coun
     payloads = [b"%05d" % k for k in range(count)]
     scripted = ScriptedBroker(site, b"".join(map(packet, payloads)))
     scripted.start()
-    broker = Broker("localhost", scripted.port, protocol="3.1.1", account=site.account("one-gateway"))
+    broker = Broker("localhost", scripted.port, account=site.account("one-gateway"))
     try:
         with loop_of(broker) as loop:
             loop.turn_until(lambda: len(loop.received) >= count, "every packet of the record")

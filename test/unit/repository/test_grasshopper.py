@@ -27,7 +27,7 @@ from site_broker import SiteBroker
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.extensions.console.nodes import requests
 from construction_twin.extensions.console.nodes.endpoint import Connection
-from construction_twin.extensions.console.nodes.feed import ConsoleFeed, Others, Poses
+from construction_twin.extensions.console.nodes.feed import ARM, TWIN, ConsoleFeed
 from construction_twin.extensions.console.nodes.requests import ConsoleRequests, RobotContext
 from construction_twin.extensions.console.remote_view import ViewWriter
 from construction_twin.kinematics.chain import Chain
@@ -108,7 +108,7 @@ class Cell:
             broker, unique_id("kr120", "planner"), "twin/kr120/view", writer.offline().decode(), will_retained=False
         )
         connection = Connection(broker, self._client, Topics("twin", "kr120"), self.refusals.refuse)
-        self.feed = ConsoleFeed("base_link", connection, writer, Poses(Stream(), Stream()), Others())
+        self.feed = ConsoleFeed("base_link", connection, writer, {TWIN: Stream(), ARM: Stream()})
         around = RobotContext(lambda: ROBOT.home)
         self.requests = ConsoleRequests(joints, {}, self.planner, None, around, connection, 2_000_000)
         self.feed.on_execution(Execution(text="IDLE", reason="at rest"))
