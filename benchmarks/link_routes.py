@@ -170,7 +170,7 @@ def outcome(pairs: list, cpu: float) -> Outcome:
 def bridge_parameters(port: int, realtime: int) -> dict:
     """Return the parameters of a bridge in its robot's namespace, as launch/bringup.launch loads them."""
     bridge = yaml.safe_load((ROOT / "config" / "mqtt_bridge.yaml").read_text())
-    bridge |= {"host": "127.0.0.1", "port": port, "protocol": "5", "prefix": "twin", "account": "", "arm": "mock"}
+    bridge |= {"host": "127.0.0.1", "port": port, "prefix": "twin", "account": "", "arm": "mock"}
     return {
         "robot_description": expand_xacro(XACRO),
         "robot": yaml.safe_load(ROBOT_YAML.read_text()),

@@ -22,7 +22,7 @@ from link_world import ROOT, end_in_order, environment, write_figures
 from start import launched
 
 from construction_twin.mqtt.client import Broker, make_client
-from construction_twin.mqtt.plain_client import PlainClient
+from construction_twin.mqtt.fast_client import FastClient
 
 TOPIC = "twin/kr120/"
 ACCOUNTS, PER_SECOND = 16, 15
@@ -32,7 +32,7 @@ JOINTS = [f"joint_a{number}" for number in range(1, 7)]
 SPAWN = multiprocessing.get_context("spawn")
 
 
-def connected(port: int, name: str) -> PlainClient:
+def connected(port: int, name: str) -> FastClient:
     """Return a client that is connected."""
     client = make_client(Broker(port=port), f"bench-{name}", f"{TOPIC}bench", "", will_retained=False)
     up = threading.Event()

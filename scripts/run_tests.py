@@ -16,7 +16,8 @@
 Everything is pytest; each tool of `LINT` and each launch test counts as one test. Lint, the unit tests that need no real time and
 those of the page (test/browser, in a venv that drives a browser) run beside each other, whole files, the file that took longest
 last time first: a run keeps what each took in `.ws/test_durations.json`; a fresh checkout begins with test/durations.json, a copy
-of such a file. Unit tests at 250 Hz (mark `realtime`) have a core each, then the launch tests run one after the other.
+of such a file. Unit tests at 250 Hz (mark `realtime`) have a core each, then the launch tests run two at a time, and at last
+those of `ALONE`, one after the other.
 """
 
 from __future__ import annotations
@@ -48,14 +49,16 @@ LINE = 300
 PER_CORE, MOST = 2, 6
 #: What a file counts that is not in the list of durations [s]; processor time of the fast tests, and of the longest among them.
 SHORT, FAST, LONGEST_FAST = 0.5, 240.0, 10.0
+#: Launch tests that count rates or late replies: nothing runs beside them.
+ALONE = ("bringup", "experiment", "physics_twin")
 #: The launch tests of a folder; `unit`, `repository`: all of these, because testmon sees Python only; `realtime`: those at 250 Hz.
 TOUCHES = {
-    "src/construction_twin/core": "realtime bringup",
-    "src/construction_twin/controller": "realtime bringup",
-    "src/construction_twin/rsi": "realtime bringup",
+    "src/construction_twin/core": "realtime bringup kill",
+    "src/construction_twin/controller": "realtime bringup kill",
+    "src/construction_twin/rsi": "realtime bringup kill",
     "src/construction_twin/gateway": "realtime bringup kill",
-    "src/construction_twin/mock": "realtime bringup",
-    "src/construction_twin/mqtt": "realtime bringup site bare_plc",
+    "src/construction_twin/mock": "realtime bringup kill",
+    "src/construction_twin/mqtt": "realtime bringup kill site bare_plc",
     "src/construction_twin/broker": "site",
     "src/construction_twin/link": "bringup kill bare_plc",
     "src/construction_twin/execution": "motion review",
@@ -67,10 +70,10 @@ TOUCHES = {
     "src/construction_twin/scene": "motion two_robots",
     "src/construction_twin/scenario": "scenario_estop",
     "src/construction_twin/evaluation": "experiment",
-    "src/construction_twin/servo": "bringup physics_twin",
-    "src/construction_twin/twin": "bringup physics_twin",
+    "src/construction_twin/servo": "kill physics_twin",
+    "src/construction_twin/twin": "kill physics_twin",
     "src/construction_twin/views": "motion operator",
-    "src/construction_twin/ros": "bringup motion operator",
+    "src/construction_twin/ros": "bringup kill motion operator",
     "src/construction_twin/extensions/work": "work_tasks",
     "src/construction_twin/extensions/physics": "physics_twin rehearsal",
     "src/construction_twin/extensions/console": "operator browser",
@@ -112,7 +115,7 @@ class Run:
         command = [python, "-m", "pytest", "-q", f"--junitxml={RESULTS / name}.xml", "-o", "junit_family=xunit1"]
         command += ["-p", "no:cacheprovider", "--durations=10", *options, *files]
         self._log = RESULTS / f"{name}.log"
-        output = None if "-s" in options else self._log.open("wb")
+        output = None if "-v" in options else self._log.open("wb")
         environment = os.environ | {"TESTMON_DATAFILE": str(ROOT / ".ws" / "testmon")}
         self._process = subprocess.Popen(
             list(map(str, command)), cwd=ROOT, env=environment, stdout=output, stderr=output
@@ -218,7 +221,7 @@ def main(words: list[str]) -> int:
     every = sorted(found, key=lambda file: (-took(file), file))
     alone = [file for file in every if "mark.realtime" in file.read_text()]
     unit = [file for file in every if file not in alone]
-    launches = sorted((ROOT / "test" / "integration").glob("*.test"))
+    launches = sorted((ROOT / "test" / "integration").glob("*.test"), key=lambda test: -took(test))
     known_words = {"lint", "unit", "browser", "integration", "repository", "fast", *(test.stem for test in launches)}
     if unknown := [word for word in words if word.partition("=")[0] not in known_words | {"changed"}]:
         sys.exit(f"no such tests: {', '.join(unknown)}")
@@ -254,13 +257,17 @@ def main(words: list[str]) -> int:
     results = [run.end() for run in runs]
     results.append(lint_result(linting))  # before anything runs at 250 Hz
     parts = {"lint, unit tests, page": time.monotonic() - began}
+    cores = f"-n{len(os.sched_getaffinity(0))}"
     if alone:
-        cores = len(os.sched_getaffinity(0))
-        results.append(Run("realtime", alone, "--timeout=300", f"-n{cores}", "--dist=loadfile").end())
+        results.append(Run("realtime", alone, "--timeout=300", cores, "--maxschedchunk=1").end())
     parts["unit tests at 250 Hz"] = time.monotonic() - began - sum(parts.values())
-    if launches:
-        results.append(Run("launch", launches, "-s", "-v").end())
-    parts["launch tests"] = time.monotonic() - began - sum(parts.values())
+    beside = [test for test in launches if test.stem not in ALONE]
+    if beside:
+        results.append(Run("launch", beside, "-v", "-rP", "-n2", "--maxschedchunk=1").end())
+    parts["launch tests, two at a time"] = time.monotonic() - began - sum(parts.values())
+    if len(beside) < len(launches):
+        results.append(Run("launch_alone", [test for test in launches if test.stem in ALONE], "-v", "-s").end())
+    parts["launch tests, one at a time"] = time.monotonic() - began - sum(parts.values())
     now = {name: round(seconds, 1) for name, seconds in sorted((known | TOOK).items()) if (ROOT / name).is_file()}
     KEPT.write_text(json.dumps({name: seconds for name, seconds in now.items() if seconds > SHORT}, indent=1) + "\n")
     for name, seconds in [*parts.items(), *sorted(TOOK.items(), key=lambda item: -item[1])[:20]]:

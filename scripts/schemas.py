@@ -15,7 +15,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from construction_twin.core.reports import WorkReport
-from construction_twin.extensions.console.message_history import Message
+from construction_twin.extensions.console.message_board import Message
 from construction_twin.extensions.console.remote_review import PathView, PlanView, SceneView
 from construction_twin.extensions.console.remote_view import VERSION, View
 from construction_twin.mqtt.requests import (

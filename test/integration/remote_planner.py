@@ -1,6 +1,6 @@
 """A program that plans elsewhere, with an account of its own at a site's broker. For the integration tests.
 
-As compas_eve does it: MQTT 3.1.1, QoS 0.
+As compas_eve does it: QoS 0.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class RemotePlanner:
         self._topics = topics
         self.answers: list[dict] = []
         self.views: list[dict] = []
-        broker = Broker("localhost", port, "3.1.1", account=load_account(account))
+        broker = Broker("localhost", port, account=load_account(account))
         self.client = make_client(broker, unique_id(topics.robot, "elsewhere"), "unused")
         self.client.on_connect = lambda client, *_: client.subscribe([(topics.ack_of(TRAJECTORY), 1), (topics.view, 0)])
         self.client.on_message = self._on_message

@@ -33,9 +33,7 @@ class Tablet:
         }
         broker = Broker("localhost", port, account=known)
         self.client = make_client(broker, unique_id(topics.robot, "tablet"), "unused")
-        self.client.on_connect = lambda client, *_: client.subscribe(
-            subscriptions(client, [(t, 1) for t in self.heard])
-        )
+        self.client.on_connect = lambda client, *_: client.subscribe(subscriptions([(t, 1) for t in self.heard]))
         self.client.on_message = lambda c, u, message: self.heard[message.topic].append(
             (message.payload, message.retain)
         )

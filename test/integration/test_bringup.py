@@ -1,8 +1,6 @@
 #!/usr/bin/env python3
 """After bringup: every topic at its rate, tf, diagnostics, twin and arm in the same pose."""
 
-import os
-import subprocess
 import sys
 
 import numpy as np
@@ -12,6 +10,7 @@ import rostest
 import tf2_ros
 from construction_twin.msg import Feedback, Sync
 from sensor_msgs.msg import JointState
+from started import Started
 from twin_client import HOME, RobotTest, Stream, TwinClient, case, wait
 
 from construction_twin.core.units import NANOSECONDS, radians
@@ -131,14 +130,11 @@ class BringupTest(RobotTest):
         before, session = running(nodes, uri), self.client.link.session
         # it replaces them before it is refused, and other tests of this bringup read them
         self.addCleanup(rospy.set_param, "/kr120", rospy.get_param("/kr120"))
-        second = ["roslaunch", "construction_twin", "bringup.launch", "broker:=false", "gateway:=false"]
-        # below the root, as the first: this test has the robot's namespace
-        outside = {name: value for name, value in os.environ.items() if name != "ROS_NAMESPACE"}
-        run = subprocess.run(second, capture_output=True, text=True, timeout=60.0, env=outside)
-        self.assertEqual(run.returncode, 1)
-        said = "cannot start: /kr120/startup: found '/kr120/startup on "
-        self.assertEqual((run.stderr.count("cannot start: "), run.stderr.count(said)), (1, 1), run.stderr)
-        self.assertNotIn("Traceback", run.stderr)
+        second = Started("roslaunch", "construction_twin", "bringup.launch", "broker:=false", "gateway:=false")
+        said, why = second.finish(60.0), "cannot start: /kr120/startup: found '/kr120/startup on "
+        self.assertEqual(second.process.returncode, 1)
+        self.assertEqual((said.count("cannot start: "), said.count(why)), (1, 1), said)
+        self.assertNotIn("Traceback", said)
         self.assertEqual(running(nodes, uri), before)
         self.assertEqual(self.client.link.session, session)
 

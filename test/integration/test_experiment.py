@@ -2,8 +2,6 @@
 """The quick experiment runs to its end; its files are there and its figures inside the bounds."""
 
 import json
-import signal
-import subprocess
 import sys
 import tempfile
 import unittest
@@ -11,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import rostest
+from started import Started
 from twin_client import BOUND, DISTURBED, case
 
 from construction_twin.core.units import CYCLE_NS
@@ -30,15 +29,7 @@ class ExperimentTest(unittest.TestCase):
     def setUpClass(cls):
         cls.results = tempfile.TemporaryDirectory()
         arguments = ["quick:=true", f"results_dir:={cls.results.name}", "broker_port:=18837", "rsi_port:=49207"]
-        command = ["roslaunch", "construction_twin", "experiment.launch", *arguments]
-        launch = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
-        )
-        try:
-            cls.output, _ = launch.communicate(timeout=TIME_LIMIT)
-        except subprocess.TimeoutExpired:
-            launch.send_signal(signal.SIGINT)  # lets it end its nodes
-            cls.output, _ = launch.communicate()
+        cls.output = Started("roslaunch", "construction_twin", "experiment.launch", *arguments).finish(TIME_LIMIT)
         cls.folder = Path(cls.results.name) / "latest"
 
     def setUp(self):

@@ -4,12 +4,14 @@
 import os
 import signal
 import sys
+import uuid
 from pathlib import Path
 
 import rospy
 import rostest
 from interruption import Interruption
-from mqtt_listener import retained
+from paho.mqtt import client as paho
+from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from twin_client import HOME, wait
 
 #: What is retained below twin/kr120/ while no plan waits for review.
@@ -24,6 +26,32 @@ def listens(pid: int, port: int) -> bool:
     except OSError:
         return False
     return any(row[1].endswith(f":{port:04X}") and row[3] == "0A" and f"socket:[{row[9]}]" in sockets for row in rows)
+
+
+def retained(port: int) -> dict[str, bytes]:
+    """Return the payload of each message that a broker of this machine retains now, by topic; nothing while there is no broker."""
+    found: dict[str, bytes] = {}
+    client = paho.Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
+    # what is retained comes before what is published after the subscription
+    end, over = f"retained_until/{uuid.uuid4()}", []
+    client.on_subscribe = lambda c, *_: c.publish(end, qos=1)
+
+    def take(_client: paho.Client, _data: object, message: paho.MQTTMessage) -> None:
+        if message.topic == end:
+            over.append(True)
+        elif message.retain:
+            found[message.topic] = message.payload
+
+    client.on_message = take
+    try:
+        client.connect("127.0.0.1", port)
+    except OSError:
+        return {}
+    client.subscribe("#", 1)
+    while not over and client.loop(1.0) == paho.MQTT_ERR_SUCCESS:
+        pass
+    client.disconnect()
+    return found if over else {}
 
 
 class KillTest(Interruption):

@@ -27,8 +27,6 @@ from construction_twin.servo.model import STEADY, keeps_pace
 JOINT = "joint_a3"
 #: What is left of a simulated arm's approach, and of one that holds a load [rad].
 SETTLED = 1e-4
-#: Cycles over which a pose is watched.
-WATCH = 200
 
 
 class PhysicsTwinTest(RobotTest):
@@ -49,12 +47,6 @@ class PhysicsTwinTest(RobotTest):
             lambda: self.client.diagnostics("virtual_robot").get("simulated scene", ""), "a scene to be simulated", 40.0
         )
         self.client.go_to(HOME)
-
-    def assert_stands_still(self, commanded: Stream):
-        since = len(commanded.messages)
-        commanded.wait_for_more(WATCH)
-        positions = commanded.positions(since)
-        np.testing.assert_array_equal(positions, np.broadcast_to(positions[0], positions.shape))
 
     def assert_close(self, goal, stream: Stream):
         """The newest pose comes within `SETTLED` of a goal [rad]."""
@@ -150,7 +142,7 @@ class PhysicsTwinTest(RobotTest):
                 self.assert_found_by_the_servo(self.transitions[changes], feedback)
                 # setpoints that passed the gate before it closed may still be under way
                 wait(lambda: commanded.at_rest(3), "what is commanded to rest")
-                self.assert_stands_still(commanded)
+                commanded.assert_still()
                 self.assert_close(commanded.positions(-1)[0], twin)
                 client.wait(lambda: len(client.plans) > plans, "a re-plan")
                 replan = client.plans[-1]
@@ -189,7 +181,7 @@ class PhysicsTwinTest(RobotTest):
                     return abs(told.effort[names.index(JOINT)] - empty) > 50.0
 
                 self.client.wait(weighs, "the load to weigh on the axes", 30.0)
-                commanded.wait_for_more(WATCH)
+                commanded.wait_for_more(200)
                 np.testing.assert_array_equal(commanded.positions()[-1], before)
                 self.assert_close(before, twin)
                 # tf of the twin and MoveIt's start are made of this

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""MQTT 3.1.1, the joint string alone: nothing else travels with it, and the arm still follows, stops and returns."""
+"""The joint string alone: nothing else travels with it, and the arm still follows, stops and returns."""
 
 import sys
 
@@ -17,7 +17,7 @@ class ProtocolTest(Interruption):
     """A motion and a stop on arrival times."""
 
     def test_commands_and_states_are_the_joint_string_alone(self):
-        self.assertEqual(rospy.get_param("mqtt_bridge/protocol"), "3.1.1")
+        self.assertEqual(rospy.get_param("gateway/properties"), False)
         self.assertEqual(self.client.sync.comparison, "instant")
         self.assertEqual(rospy.wait_for_message("physical/feedback", Feedback, 5.0).command_stamp.to_nsec(), 0)
         topics = Topics(rospy.get_param("~prefix"), "kr120")

@@ -7,15 +7,13 @@ Every scenario runs on the simulated chain, with the same judge, in `test/unit/c
 """
 
 import json
-import os
-import signal
-import subprocess
 import sys
 import tempfile
 import unittest
 from pathlib import Path
 
 import rostest
+from started import Started
 
 #: The name and the ports; what rostest adds begins with `--` or `__`. In sys.argv itself `port:=N` would be a remapping.
 ARGUMENTS = [argument for argument in sys.argv[1:] if not argument.startswith(("-", "_"))]
@@ -29,27 +27,9 @@ class ScenarioTest(unittest.TestCase):
     def test_the_cell_does_what_the_scenario_expects(self):
         name, *ports = ARGUMENTS
         with tempfile.TemporaryDirectory() as results:
-            trace = f"gateway_trace:={results}/trace"
-            command = [
-                "roslaunch",
-                "construction_twin",
-                "scenario.launch",
-                f"scenario:={name}",
-                f"results_dir:={results}",
-            ]
-            launch = subprocess.Popen(
-                [*command, trace, *ports],
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                errors="replace",
-                env=os.environ | {"COLUMNS": "160"},
-            )
-            try:
-                output, _ = launch.communicate(timeout=TIME_LIMIT)
-            except subprocess.TimeoutExpired:
-                launch.send_signal(signal.SIGINT)  # lets it end its nodes
-                output, _ = launch.communicate()
+            words = [f"scenario:={name}", f"results_dir:={results}", f"gateway_trace:={results}/trace", *ports]
+            launch = Started("roslaunch", "construction_twin", "scenario.launch", *words, COLUMNS="160")
+            output = launch.finish(TIME_LIMIT)
             path = Path(results) / name / "verdict.json"
             self.assertTrue(path.is_file(), f"there is no verdict:\n{output[-6000:]}")
             verdict = json.loads(path.read_text())

@@ -37,7 +37,7 @@ class Tablet:
         self._asked = 0
         self._client = make_client(Broker("127.0.0.1", BROKER_PORT), unique_id("kr120", "tablet"), "unused")
         topics = [(TOPICS.view, 0), ("twin/kr120/speed/ack", 1)]
-        self._client.on_connect = lambda client, *_: client.subscribe(subscriptions(client, topics))
+        self._client.on_connect = lambda client, *_: client.subscribe(subscriptions(topics))
         self._client.on_message = self._on_message
         self._client.connect_async("127.0.0.1", BROKER_PORT, 10)
         self._client.loop_start()

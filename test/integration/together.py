@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Several files of tests on one bringup: `together.py test_bringup test_garbage` runs them in this order.
+"""Several files of tests on one bringup: `together.py test_garbage test_kill` runs them in this order.
 
 Each has a client of its own and waits for what it needs at its begin. What would take another one's start away (a node that names
 each sender once, a counter that must be 0, the home pose) comes first.

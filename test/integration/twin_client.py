@@ -79,6 +79,13 @@ class Stream:
         last = self.positions(-count)
         return len(last) == count and bool((last == last[0]).all())
 
+    def assert_still(self, count: int = 200) -> None:
+        """Check that the next `count` positions are one, in every bit."""
+        since = len(self.messages)
+        self.wait_for_more(count)
+        positions = self.positions(since)
+        np.testing.assert_array_equal(positions, np.broadcast_to(positions[0], positions.shape))
+
     def moved(self, angle_deg: float) -> bool:
         """Return whether a joint of the newest message is more than `angle_deg` away from the first one's [deg]."""
         first, last = self.messages[0].position, self.messages[-1].position

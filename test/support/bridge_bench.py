@@ -41,8 +41,6 @@ class Clocks:
 class Client:
     """In place of the connection to the broker: remembers what is published."""
 
-    protocol = None
-
     def __init__(self):
         self.published: list[tuple[str, bytes]] = []
         self.streamed: list[tuple[str, bytes, object]] = []
@@ -99,7 +97,7 @@ class BridgeBench:
 
     Args:
         diagnostics: Takes what reports of the bridge; returns what counts.
-        properties: Bool. Whether the link carries MQTT 5 properties.
+        properties: Bool. Whether the link carries user properties.
         kind: Str. ``rsi`` or ``plc``: what takes the commands.
         kept: As of `open_ports`.
     """
@@ -111,7 +109,6 @@ class BridgeBench:
             arm="mock",
             host="127.0.0.1",
             port=1,
-            protocol="5" if properties else "3.1.1",
             gateway_kind=kind,
             reset_timeout=1.0,
             max_state_age=0.1,
@@ -145,7 +142,8 @@ class BridgeBench:
 
     def connect(self) -> None:
         """Let the broker say welcome."""
-        self.bridge.on_connect(self.client, None, None, SimpleNamespace(is_failure=False), None)
+        topic, payload, _ = self.bridge.on_connect()
+        self.client.publish(topic, payload)
 
     def step(self) -> None:
         """Let 20 ms pass, with a gateway that is well and an arm at rest where it is commanded; then poll."""

@@ -127,7 +127,6 @@ class Gripper:
         self._coming: list[tuple[int, bool]] = []
 
     def take(self, order: ToolOrder) -> None:
-        """Take an order."""
         self.orders.append(order)
         if not order.id:
             self.void("asked for")
@@ -159,7 +158,6 @@ class Gripper:
                 self.inputs = {"gripped": value}
 
     def report(self) -> ToolReport:
-        """Return what is said of the tool."""
         return ToolReport(
             self.known, "frame", self.outputs, dict(self.inputs), dict(self._switches), "no session" * (not self.known)
         )
@@ -192,7 +190,6 @@ class Bench:
 
     @property
     def state(self) -> ExecutorState:
-        """The executor's state."""
         return self.executor.state
 
     def present(self) -> Moment:
@@ -200,7 +197,6 @@ class Bench:
         return Moment("c0ffee00", self.clock)
 
     def step(self):
-        """One cycle; return the setpoint."""
         self.stamp += CYCLE_NS
         setpoint = self.executor.step(self.stamp, self.stamp)
         self.outputs.append(setpoint)
@@ -232,7 +228,6 @@ class Bench:
             self.executor.on_tool(report, self.stamp)
 
     def with_tool(self) -> Bench:
-        """Give it a tool."""
         self.tool = Gripper()
         self.tell()
         return self
@@ -260,7 +255,6 @@ class Bench:
         return outputs
 
     def run(self, cycles: int) -> list:
-        """Run some cycles; return the setpoints."""
         return [self.step() for _ in range(cycles)]
 
     def run_until(self, *states: ExecutorState) -> list:
@@ -272,7 +266,6 @@ class Bench:
         return outputs
 
     def run_until_idle(self) -> list:
-        """Run until the executor is idle; return the setpoints."""
         return self.run_until(ExecutorState.IDLE)
 
     def ready(self) -> Bench:
@@ -285,7 +278,6 @@ class Bench:
     def review(
         self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str = "", seen: Moment | None = None
     ) -> str:
-        """Give a verdict; return the sentence."""
         return self.approval.review(plan_id, plan_hash, approve, reviewer, reason, seen).answer
 
     def approve(self, plan: Plan) -> str:

@@ -21,6 +21,13 @@ def wait_until(condition, timeout: float = 10.0, what: str = "the condition"):
         time.sleep(0.005)
 
 
+def free_port() -> int:
+    """Return a TCP port of this machine that nobody has."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
 def listens(port: int, host: str = "127.0.0.1") -> bool:
     """Return whether a program accepts TCP connections on this port of an address of this machine."""
     with socket.socket() as probe:
@@ -31,9 +38,7 @@ class BrokerProcess:
     """Debian's mosquitto with the project's configuration on a free port of the loopback interface."""
 
     def __init__(self, config: Path = ROOT / "config" / "mosquitto.conf"):
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = probe.getsockname()[1]
+        self.port = free_port()
         self._process, self._config = None, config
 
     def start(self) -> None:

@@ -1,7 +1,8 @@
 """A test that runs processes at 250 Hz and failed while the machine stood still shows nothing, and is run again: a hook of pytest.
 
 For tests with the mark `realtime` and for launch tests. A probe per core (benchmarks/machine.py) watches; a failure beside such a
-pause is a warning, one without, or where SCHED_FIFO is not permitted, is a failure. Of several workers each keeps to a core.
+pause is a warning, one without, or where SCHED_FIFO is not permitted, is a failure. Of several workers each keeps to a core, but
+not a launch test.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
     """Run a test at 250 Hz, and again where it failed while a core ran no process."""
     if item.get_closest_marker("realtime") is None:
         return None
-    if worker := os.environ.get("PYTEST_XDIST_WORKER"):
+    worker = os.environ.get("PYTEST_XDIST_WORKER")
+    if worker and isinstance(item, pytest.Function):
         cores = sorted(os.sched_getaffinity(1))
         os.sched_setaffinity(0, {cores[int(worker.removeprefix("gw")) % len(cores)]})
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)

@@ -14,6 +14,7 @@ from gateway_cell import START, Cell
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.gateway import Gateway, State
+from construction_twin.link.gateway_status import GatewayAnswer, GatewayStatus, read
 from construction_twin.link.observations import LinkState
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.messages import Control, Intervention
@@ -123,13 +124,13 @@ class ResetBench:
     def _arrive(self, control: Control) -> None:
         answer = self.gateway.on_control(control, self.now)
         self.tell()
-        told = {"id": control.id, "verb": control.verb, "ok": answer.ok, "reason": answer.reason}
+        told = GatewayAnswer(id=control.id, verb=control.verb, ok=answer.ok, reason=answer.reason)
         if not self.loses_answer(control):
             self.at(self.now + self.down, lambda: self.supervisor.on_answer(told, self.now))
 
     def tell(self) -> None:
         """Send the gateway's status."""
-        self._status_at, status = self.now, self.gateway.status()
+        self._status_at, status = self.now, read(GatewayStatus, self.gateway.status())
         self.at(self.now + self.down, lambda: self.supervisor.inputs.on_status(status, self.now))
 
     def _tell_change(self) -> None:
@@ -182,7 +183,7 @@ class ResetBench:
     def restart_gateway(self, farewell: bool = True) -> None:
         """Kill the gateway and start it again, as another run; the broker says so unless it is not to give a `farewell`."""
         if farewell:
-            word = {"state": "offline", "reason": "connection lost", "run": self.gateway.run}
+            word = GatewayStatus(state="offline", reason="connection lost", run=self.gateway.run)
             self.at(self.now + self.down, lambda: self.supervisor.inputs.on_status(word, self.now))
         self.cell.gateway = Gateway(self.cell.config, f"run{next(self._order) + 2}")
         self._status_at = self.now

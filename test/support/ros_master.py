@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 from collections.abc import Callable
 from contextlib import contextmanager
@@ -10,6 +9,7 @@ from socketserver import ThreadingMixIn
 from xmlrpc.server import SimpleXMLRPCServer
 
 import rosgraph
+from processes import free_port
 from rosmaster.master import Master
 
 #: What every node here says its process is.
@@ -59,10 +59,7 @@ class Node:
 @contextmanager
 def ros_master():
     """Run a master on loopback; yields its URI. ROS_IP must be 127.0.0.1."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    running = Master(port=port)
+    running = Master(port=free_port())
     running.start()
     try:
         yield running.uri

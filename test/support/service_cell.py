@@ -138,12 +138,10 @@ def controller_of(address):
 def serving(port, topics, config=CONFIG, sock=None, **options):
     """A GatewayService in a thread; yields it and its UDP address."""
     sock = sock or bind("127.0.0.1", 0)
-    protocol, run = options.pop("protocol", "5"), options.pop("run", RUN)
+    run = options.pop("run", RUN)
     # the controllers here send when a test tells them to, which is no clock
     measures = options.pop("measures", False)
-    service = GatewayService(
-        config, sock, Broker(port=port, protocol=protocol), topics, run, measures=measures, **options
-    )
+    service = GatewayService(config, sock, Broker(port=port), topics, run, measures=measures, **options)
     thread = threading.Thread(target=service.run)
     address = sock.getsockname()
     thread.start()
@@ -160,13 +158,13 @@ def serving(port, topics, config=CONFIG, sock=None, **options):
 class Client:
     """The other side on MQTT: keeps every message per topic."""
 
-    def __init__(self, port, topics, protocol=MQTTProtocolVersion.MQTTv5):
+    def __init__(self, port, topics):
         self.topics, self.messages = topics, []
         self.seq, self.stamp = 0, 10**18
         self.codec, self.session = CODEC, "s1"
         self._ids = itertools.count(1)
         subscribed = threading.Event()
-        self.paho = paho.Client(CallbackAPIVersion.VERSION2, protocol=protocol)
+        self.paho = paho.Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
         self.paho.on_connect = lambda client, *_: client.subscribe(f"{topics.prefix}/#", 1)
         self.paho.on_subscribe = lambda *_: subscribed.set()
         self.paho.on_message = lambda client, userdata, message: self.messages.append(message)
@@ -258,9 +256,3 @@ def assert_still(controller, cycles=20):
     wait_until(lambda: len(controller.replies) >= count + cycles, what="telegrams")
     assert set(controller.replies[count:]) == {controller.replies[count - 1]}
     assert controller.measured == before
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]

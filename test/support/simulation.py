@@ -27,6 +27,7 @@ from construction_twin.execution.segment_run import ToolOrder
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.link.bridge import StateCheck
+from construction_twin.link.gateway_status import GatewayAnswer, GatewayStatus, read
 from construction_twin.link.observations import LinkState
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.link.tool_link import ToolLink
@@ -340,12 +341,12 @@ class SimulatedChain:
         control = self._tool_link.switch(order.id, switch.output, switch.value, order.stamp, session, armed)
         if control is not None:
             answer = self.gateway.on_control(control, self.now)
-            told = {"id": control.id, "verb": control.verb, "ok": answer.ok, "reason": answer.reason}
+            told = GatewayAnswer(id=control.id, verb=control.verb, ok=answer.ok, reason=answer.reason)
             self._tool_link.on_answer(told)
         self._tell_tool()
 
     def _hear_tool(self, status: dict) -> None:
-        self._tool_link.on_status(status)
+        self._tool_link.on_status(read(GatewayStatus, status))
         self._tell_tool()
 
     def _tell_tool(self) -> None:
@@ -372,11 +373,12 @@ class SimulatedChain:
         self._at(self.now + POLL, self._supervise)
         self.gate.watch(self.now)
         self._note_transitions()
-        self.supervisor.inputs.on_status(self.gateway.status(), self.now)
+        self.supervisor.inputs.on_status(read(GatewayStatus, self.gateway.status()), self.now)
         control = self.supervisor.poll(self.now)
         if control is not None:
             answer = self.gateway.on_control(control, self.now)
-            self.supervisor.on_answer({"id": control.id, "ok": answer.ok, "reason": answer.reason}, self.now)
+            told = GatewayAnswer(id=control.id, ok=answer.ok, reason=answer.reason)
+            self.supervisor.on_answer(told, self.now)
         if self.supervisor.session != self._session:
             if self._session:
                 self.executor.restart("new command session", self.now)

@@ -10,6 +10,7 @@ import pytest
 
 from construction_twin.core.units import NANOSECONDS, last_digit
 from construction_twin.link.bare_supervisor import BareSupervisor
+from construction_twin.link.gateway_status import GatewayAnswer, GatewayStatus, parse_status, read
 from construction_twin.link.observations import LinkState
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.messages import PROTOCOL
@@ -68,7 +69,7 @@ class Bench:
     def poll(self):
         self.now += POLL
         if self.speaking:
-            self.supervisor.inputs.on_status(dict(self.gateway), self.now)
+            self.supervisor.inputs.on_status(read(GatewayStatus, self.gateway), self.now)
         if self.pose is not None:
             self.supervisor.inputs.on_pose(self.pose, self.now)
         if self.command is not None:
@@ -94,7 +95,7 @@ class Bench:
             self.answer(control)
 
     def answer(self, control, ok: bool = True, reason: str = "") -> None:
-        self.supervisor.on_answer({"id": control.id, "ok": ok, "reason": reason}, self.now)
+        self.supervisor.on_answer(GatewayAnswer(id=control.id, ok=ok, reason=reason), self.now)
 
     def refuse(self, control, reason: str) -> None:
         self.answer(control, False, reason)
@@ -126,7 +127,7 @@ class BareBench:
 
     def say(self, word: str) -> None:
         """Let the PLC say a word now."""
-        self.supervisor.inputs.on_status({"state": word, "kind": "plc"}, self.now)
+        self.supervisor.inputs.on_status(parse_status(word.encode()), self.now)
 
     def poll(self) -> None:
         self.now += POLL

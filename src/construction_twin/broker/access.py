@@ -30,14 +30,12 @@ class Site:
     """What a site consists of; ConfigurationError when a name could not stand in a topic, an access rule or a certificate.
 
     Attributes:
-        hosts: Names and addresses under which clients reach the broker.
+        hosts, consoles: Names and addresses under which clients reach the broker, and browsers the console.
         persons: Who may do what, as ``ada:operate,approve@kr120_1,kr120_2``; without ``@`` at every. Those of one name add up.
         plc: Also an account for a PLC that commands in place of the bridge.
-        certificates: Also a listener for client certificates.
-        port: TLS port; client certificates use the one above it.
+        certificates: Also a listener for client certificates, on the port above the TLS `port`.
         folder: Where the broker finds its files.
-        listen: The broker's own address on which it listens; empty: all of them.
-        consoles: Names and addresses under which browsers reach the console; empty: no files for one.
+        listen: The address on which it listens; empty: all.
     """
 
     hosts: tuple[str, ...]

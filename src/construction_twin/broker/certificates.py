@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import ipaddress
 import os
-import re
 import secrets
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -28,8 +28,7 @@ class Authority:
     """A CA in a folder of its own, `ca.key` and `ca.crt`; made when it is not there. ConstructionTwinError where openssl fails.
 
     Args:
-        hosts: Names and addresses that a new CA may vouch for, beside this machine's loopback; no browser believes it about others.
-            Of a name also what stands below it: ``twin.example`` permits ``hall7.twin.example``.
+        hosts: Names and addresses that a new CA may vouch for, beside names below them and this machine's loopback.
     """
 
     def __init__(self, folder: Path, hosts: Iterable[str]):
@@ -50,17 +49,20 @@ class Authority:
 
     def not_permitted(self, hosts: Iterable[str]) -> list[str]:
         """Return those of the hosts that this CA may not vouch for."""
-        text = openssl("x509", "-in", self.certificate, "-noout", "-text")
-        _, _, constraints = text.partition("X509v3 Name Constraints")
-        names = re.findall(r"^ +(DNS|IP):([^/\s]+)", constraints, re.MULTILINE)
-        permitted = _constraints(name for _, name in names)
-        return [host for host in hosts if not permitted.intersection(_permitting(host))]
+        return [host for host in hosts if not self._permits(host)]
+
+    def _permits(self, host: str) -> bool:
+        with tempfile.TemporaryDirectory() as scratch:
+            certificate = Path(scratch, "host.crt")
+            self.issue("trial", Path(scratch, "host.key"), certificate, 1, (host,))
+            try:
+                openssl("verify", "-CAfile", self.certificate, certificate)
+            except ConstructionTwinError:
+                return False
+        return True
 
     def issue(self, name: str, key: Path, certificate: Path, days: int, hosts: Iterable[str] = ()) -> None:
-        """Sign a certificate for the key in `key`, which is made when it is not there.
-
-        With `hosts` it is a server's, for these names and addresses; otherwise a client's.
-        """
+        """Sign a certificate for a key, which is made when it is not there: with `hosts` a server's, else a client's."""
         if not key.exists():
             make_key(key)
         hosts = tuple(hosts)
@@ -131,23 +133,10 @@ def _constraints(hosts: Iterable[str]) -> set[str]:
     """Return hosts and loopback as openssl writes permitted names and ranges; with none of a kind all of that kind would be."""
     found = set()
     for host in (*hosts, "localhost", "127.0.0.1", "::1"):
-        kind, _, name = _alternative_name(host).partition(":")
-        found.add(_range(name) if kind == "IP" else f"DNS:{name.lower()}")
+        name = _alternative_name(host)
+        network = ipaddress.ip_network(name.removeprefix("IP:")) if name.startswith("IP:") else None
+        found.add(f"DNS:{host.lower()}" if network is None else f"{name}/{network.netmask}")
     return found
-
-
-def _permitting(host: str) -> set[str]:
-    """Return the constraints of which any permits a host: for a name also those of the names above it."""
-    kind, _, name = _alternative_name(host).partition(":")
-    if kind == "IP":
-        return {_range(name)}
-    labels = name.lower().split(".")
-    return {f"DNS:{'.'.join(labels[at:])}" for at in range(len(labels))}
-
-
-def _range(address: str) -> str:
-    network = ipaddress.ip_network(address)
-    return f"IP:{network.network_address}/{network.netmask}"
 
 
 def _alternative_name(host: str) -> str:

@@ -26,9 +26,7 @@ _NEEDED = "every tablet and every client needs the new ca.crt"
 
 
 class SiteFolder:
-    """The files of a site: `ca/`, `broker/` for the broker, `console/` for the console, `accounts/<name>/` for the holder of that
-    account, `site.json`.
-    """
+    """The files of a site: `ca/`, `broker/`, `console/`, `accounts/<name>/`, `site.json`."""
 
     def __init__(self, folder: Path):
         self._folder, self._broker, self._console = folder, folder / "broker", folder / "console"
@@ -49,15 +47,12 @@ class SiteFolder:
     def make(
         self, site: Site, days: int = DAYS, renew: bool = False, replace: Iterable[str] = (), renew_ca: bool = False
     ) -> list[str]:
-        """Make what is missing; return sentences on what was done.
+        """Make what is missing; return sentences on what was done. ConstructionTwinError, e.g. when the CA may not vouch for one.
 
         Args:
             days: Lifetime of new certificates.
             renew, renew_ca: Sign all certificates, or the CA's for the names of this site, anew for the same keys.
             replace: Accounts that get a new password and a new key.
-
-        Raises:
-            ConstructionTwinError: When a program is missing, a name does not fit, or the CA may not vouch for one.
         """
         replace, before = set(replace), self.load()
         if unknown := replace - {*site.accounts()}:
@@ -67,17 +62,30 @@ class SiteFolder:
         rules, configuration = access_rules(site, _template), broker_configuration(site, _template)
         for folder in (self._folder, self._broker, self._folder / "accounts"):
             make_folder(folder)
-        authority, lines = self._authority(merged(site.hosts, site.consoles), renew_ca)
+        names, made = merged(site.hosts, site.consoles), not (self._folder / "ca").exists()
+        authority, lines = Authority(self._folder / "ca", names), []
+        if made:
+            lines.append(
+                f"made a CA in {self._folder / 'ca'}, for {', '.join(names)} only; keep ca.key off the network"
+            )
+        elif renew_ca:
+            authority.sign_anew(names)
+            for path in (self._folder / "accounts").glob("*/ca.crt"):
+                write_private(path, authority.certificate.read_bytes())
+            lines.append(f"signed the CA's certificate anew, for {', '.join(names)} only: {_NEEDED}")
+        elif missing := authority.not_permitted(names):
+            found = f"the site's CA may not vouch for {', '.join(missing)}; --renew-ca signs its certificate anew: {_NEEDED}"
+            raise ConstructionTwinError(found)
         servers = [("broker", self._broker / "server", before.get("hosts"), site.hosts)]
         if site.consoles:
             make_folder(self._console)
             servers.append(("console", self._console / "console", before.get("consoles"), site.consoles))
-        for program, path, former, names in servers:
+        for program, path, former, hosts in servers:
             certificate = path.with_suffix(".crt")
-            if renew or former != names or not certificate.exists():
-                authority.issue(f"construction_twin {program}", path.with_suffix(".key"), certificate, days, names)
-                lines.append(f"signed the {program}'s certificate for {', '.join(names)}")
-            write_private(path.with_name("ca.crt"), authority.certificate.read_text(encoding="utf-8"))
+            if renew or former != hosts or not certificate.exists():
+                authority.issue(f"construction_twin {program}", path.with_suffix(".key"), certificate, days, hosts)
+                lines.append(f"signed the {program}'s certificate for {', '.join(hosts)}")
+            write_private(path.with_name("ca.crt"), authority.certificate.read_bytes())
         lines += self._make_passwords(site, authority, replace)
         if site.certificates:
             lines += self._make_certificates(site, authority, days, renew, replace)
@@ -88,23 +96,6 @@ class SiteFolder:
         write_private(self._broker / "mosquitto.conf", configuration)
         write_private(self._settings, json.dumps(dataclasses.asdict(site), indent=1) + "\n")
         return lines
-
-    def _authority(self, names: tuple[str, ...], renew: bool) -> tuple[Authority, list[str]]:
-        """Return the site's CA, which may vouch for these names, and sentences on what was done."""
-        folder, made = self._folder / "ca", not (self._folder / "ca").exists()
-        authority = Authority(folder, names)
-        if made:
-            return authority, [f"made a CA in {folder}, for {', '.join(names)} only; keep ca.key off the network"]
-        if renew:
-            authority.sign_anew(names)
-            ca = authority.certificate.read_text(encoding="utf-8")
-            for path in (self._folder / "accounts").glob("*/ca.crt"):
-                write_private(path, ca)
-            return authority, [f"signed the CA's certificate anew, for {', '.join(names)} only: {_NEEDED}"]
-        if missing := authority.not_permitted(names):
-            found = f"the site's CA may not vouch for {', '.join(missing)}; --renew-ca signs its certificate anew: {_NEEDED}"
-            raise ConstructionTwinError(found)
-        return authority, []
 
     def expiries(self) -> list[str]:
         """Return a line per certificate with the day of its end."""
@@ -124,7 +115,7 @@ class SiteFolder:
             folder = self._folder / "accounts" / name
             make_folder(folder)
             write_private(folder / "password", password + "\n")
-            write_private(folder / "ca.crt", authority.certificate.read_text(encoding="utf-8"))
+            write_private(folder / "ca.crt", authority.certificate.read_bytes())
             document = {"user": name, "password_file": "password", "ca_file": "ca.crt"}
             write_private(folder / "account.json", json.dumps(document) + "\n")
         write_private(path, "".join(f"{hashed[name]}\n" for name in names))
@@ -222,10 +213,8 @@ def _site(asked: argparse.Namespace, before: dict) -> Site:
         "persons": merged(kept, asked.person),
         "folder": asked.broker_folder or before.get("folder") or str(asked.folder.absolute() / "broker"),
     }
-    for name in ("plc", "certificates", "port", "listen", "prefix"):
-        if value := getattr(asked, name):
-            given[name] = value
-    return Site(**before | given)
+    single = ("plc", "certificates", "port", "listen", "prefix")
+    return Site(**before | given | {name: value for name in single if (value := getattr(asked, name))})
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -153,10 +153,7 @@ def listener_ports(text: str) -> list[int]:
 
 
 def _in_memory(text: str) -> int:
-    """Return an open file in memory with a whole configuration, as a descriptor that mosquitto inherits.
-
-    The listener is not given with ``-p``: mosquitto would warn that only local clients can connect.
-    """
+    """Return a file in memory that mosquitto inherits; with ``-p`` it would warn that only local clients can connect."""
     file = os.memfd_create("mosquitto.conf", 0)  # without MFD_CLOEXEC
     os.write(file, text.encode())
     return file

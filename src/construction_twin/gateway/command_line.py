@@ -79,7 +79,6 @@ def read_arguments(argv: list[str]) -> argparse.Namespace:
         metavar="FILE",
         help="account file for the broker, as make_site writes it; without: anonymous, no TLS",
     )
-    parser.add_argument("--protocol", default="5", choices=["5", "3.1.1"], help="MQTT version [%(default)s]")
     parser.add_argument("--prefix", default="twin", help="first level of the MQTT topics [%(default)s]")
     parser.add_argument(
         "--realtime", type=int, default=0, metavar="PRIORITY", help="SCHED_FIFO priority, 0 for none [%(default)s]"
@@ -109,11 +108,7 @@ def _address(text: str, option: str) -> tuple[str, int]:
 def _ends(arguments: argparse.Namespace, config: GatewayConfig) -> tuple[Broker, Topics, tuple[str, int], str | None]:
     """Return broker and topics, the address for the controller, and the controller's own."""
     account = load_account(arguments.account) if arguments.account else None
-    if account is not None and account.password_file:
-        account.password()
-    if account is not None and account.ca_file:
-        account.context()
-    broker = Broker(*_address(arguments.broker, "--broker"), protocol=arguments.protocol, account=account)
+    broker = Broker(*_address(arguments.broker, "--broker"), account=account)
     host, port = _address(arguments.listen, "--listen")
     controller = address_of(arguments.controller, "--controller") if arguments.controller else None
     if controller is None and not is_loopback(host):

@@ -88,7 +88,6 @@ class MqttSide:
         client.connect_async(broker.host, broker.port, broker.keepalive)
         self.polled = polled(client, on_failure=self._connection.failed)
         self._client = client
-        self._state_properties = broker.protocol == "5"
         self._lines = LineLimiter()
         self._speed_answer: tuple = ()
 
@@ -101,7 +100,7 @@ class MqttSide:
         self._connection.connected(client, properties)
         log.info("connected to the broker")
         topics = [(self._topics.command, 0), (self._topics.control, 1), (self._topics.stop_by("+"), 1)]
-        client.subscribe(subscriptions(client, topics))
+        client.subscribe(subscriptions(topics))
         info = self.publish_status()
         # the client sends again what was not acknowledged before: an older status, behind this one, would be the one that is kept
         self._due_at = 0
@@ -194,7 +193,7 @@ class MqttSide:
         if message is None:
             return
         payload, properties = message
-        beside = properties.pairs() if self._state_properties else None
+        beside = properties.pairs() if self._gateway.config.properties else None
         self._client.send_stream(self._topics.state, payload, beside)
 
     def publish_status(self, final: bool = False) -> paho.MQTTMessageInfo | None:

@@ -1,14 +1,14 @@
 """Bare mode: the link to a PLC that knows only the joint string, armed by a person who takes the responsibility by name.
 
-Pure; time is an argument [ns]. The PLC says two words, `ready` and `offline`, and its pose; it is asked nothing. So no rule of this
-side arms it, and everything that a gateway would have checked or told stands in `NOT_CHECKED`, for `link`, record and documents.
+Pure; time is an argument [ns]. The PLC says two words, `ready` and `offline`, and its pose; it is asked nothing.
 """
 
 from __future__ import annotations
 
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.sentences import Sentence
-from construction_twin.link.observations import ABSENT, FRESH, LinkObservations, LinkState
+from construction_twin.link.gateway_status import NO_STATUS, GatewayStatus
+from construction_twin.link.observations import ABSENT, LinkObservations, LinkState
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.mqtt.messages import OFFLINE, PLC
 
@@ -35,13 +35,13 @@ class BareObservations(LinkObservations):
     #: Whether `offline` was said since this was set to False.
     offline_heard = False
 
-    def on_status(self, status: dict, now: int) -> str:
+    def on_status(self, status: GatewayStatus, now: int) -> str:
         """Take what was said on `status`; an `offline` counts, however soon `ready` follows: the PLC has stopped."""
         problem = super().on_status(status, now)
-        self.offline_heard |= self.gateway == OFFLINE
+        self.offline_heard |= status.state == OFFLINE
         return problem
 
-    def why_not_believed(self, status: dict, now: int) -> str:
+    def why_not_believed(self, status: GatewayStatus, now: int) -> str:
         """Return an empty sentence: what is said there is either the PLC's word, or a gateway's, which ends it."""
         return ""
 
@@ -49,15 +49,15 @@ class BareObservations(LinkObservations):
         """Return what is missing for a link that commands, or in mirror mode for one that follows, and one sentence."""
         if not self._connected:
             return LinkState.DISCONNECTED, Sentence("not connected to the broker")
-        if self.status.get("kind", PLC) != PLC and self.gateway != OFFLINE:
+        if self.status.kind != PLC and self.status.state != OFFLINE:
             return LinkState.MISMATCH, Sentence(
                 "rsi_gateway answers on the broker, no bare PLC: start with gateway_kind:=rsi, or stop that gateway"
             )
-        if not self.status:
+        if self.status is NO_STATUS:
             return LinkState.GATEWAY_OFFLINE, Sentence("no PLC has said `ready` on its `status` topic, retained")
-        if self.offline_heard or self.gateway == OFFLINE:
+        if self.offline_heard or self.status.state == OFFLINE:
             return LinkState.GATEWAY_OFFLINE, Sentence("the PLC says `offline`: it takes no strings; see to the PLC")
-        if self._pose is None or now - self._pose_at >= FRESH:
+        if not self.pose_is_fresh(now):
             why = self.why_no_pose(now) or Sentence("no joint string comes on its `state` topic")
             return LinkState.NO_CONTROLLER, Sentence("the PLC says `ready`, but {why}", why=why)
         return None
@@ -111,11 +111,7 @@ class BareSupervisor(LinkSupervisor):
             self._go(LinkState.ARMED, armed)
 
     def request_arm(self, now: int, person: str = "") -> None:
-        """Begin a session in the name of the person who is responsible for what is not checked; ReviewError where it cannot.
-
-        Args:
-            person: Not empty, printable, at most 64 characters.
-        """
+        """Begin a session in the name of the person who is responsible for what is not checked; ReviewError where it cannot."""
         name = person.strip()
         if not name or len(name) > _LONGEST_NAME or not name.isprintable():
             raise ReviewError(

@@ -6,9 +6,10 @@ Pure: events in; messages, reports and answers out. Times are arguments [ns]. No
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 from construction_twin.core.errors import ExpiredError, PayloadError
-from construction_twin.core.freshness import Moment, parse_moment, staleness
+from construction_twin.core.freshness import Moment, is_newer, parse_moment, staleness
 from construction_twin.core.records import SPACED, dumped
 from construction_twin.core.reports import LinkReport, ToolReport
 from construction_twin.core.sentences import Sentence, both
@@ -16,17 +17,13 @@ from construction_twin.core.travel_time import TravelTime
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bare_supervisor import BareSupervisor
-from construction_twin.link.gateway_status import (
-    controller_sentence,
-    cut,
-    status_values,
-    without_counts,
-)
-from construction_twin.link.observations import LinkState, SeenStops
+from construction_twin.link.gateway_status import GatewayAnswer, GatewayStatus, cut, without_counts
+from construction_twin.link.observations import SHOWN_AFTER, LinkState
 from construction_twin.link.supervisor import LinkSupervisor
 from construction_twin.link.tool_link import ToolLink
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import (
+    OFFLINE,
     PROTOCOL,
     BridgeStatus,
     CommandProperties,
@@ -175,10 +172,7 @@ class Asked:
         self.number = 0
 
     def answer(self, now: int, ending: bool) -> tuple[bool, str] | None:
-        """Return whether the link is armed, and one sentence; None: ask again. What fails is withdrawn, also at the gateway.
-
-        What is answered is what is the case: the last look and the withdrawal are one call. `ending`: the process ends.
-        """
+        """Return whether the link is armed, and one sentence; None: ask again. The last look withdraws what has failed."""
         if self._answer is None:
             self._answer = self._look(ending or now >= self._deadline, now)
             self._deadline = now + WITHDRAWAL if self._answer else self._deadline
@@ -193,7 +187,7 @@ class Asked:
         has_begun = supervisor.session != self._before
         if supervisor.halts != self._halts:
             return False, Sentence("not armed: halt was called meanwhile: {why}", why=supervisor.sentence)
-        if has_begun and supervisor.state is LinkState.ARMED and not supervisor.inputs.fault:
+        if has_begun and supervisor.state is LinkState.ARMED and not supervisor.inputs.status.fault:
             return True, Sentence("armed, {reason}", reason=supervisor.reason)
         if has_begun and supervisor.state is LinkState.NEEDS_RESET:
             sentence = Sentence("not armed: {why}", why=supervisor.sentence)
@@ -214,9 +208,7 @@ class Bridge:
     """The link of one robot: its supervisor, the tool behind the gateway, the speed limit, and what is reported of them.
 
     Args:
-        bare: Whether a bare PLC takes the commands.
         timeout: Longest wait of a person's request for the link to be armed [s].
-        mirrors, waits: As of `LinkSupervisor`.
     """
 
     def __init__(
@@ -236,7 +228,9 @@ class Bridge:
         self._strings, self._timeout, self._new_id = strings, timeout, new_id
         self._tool = ToolLink(new_id)
         self._tool_told: ToolReport | None = None
-        self._stops = SeenStops()
+        #: The last stop that is known, and from when on a view surely shows it.
+        self._stop: object = None
+        self._stop_shown_from: Moment | None = None
         #: Why only a person leads on, for the process after this one; "": nobody is waited for.
         self.waits = waits
         # what the gateway's last status says beside its counters
@@ -280,22 +274,22 @@ class Bridge:
     def _takes_control(self) -> bool:
         return self.supervisor.state is LinkState.ARMED and self.supervisor.sends_control
 
-    def on_status(self, status: dict, now: int) -> None:
-        """Take the gateway's status, or a bare PLC's word, as `parse_presence` has it; PayloadError where it is not believed."""
+    def on_status(self, status: GatewayStatus, now: int) -> None:
+        """Take the gateway's status, or a bare PLC's word; PayloadError where it is not believed."""
         if problem := self.supervisor.inputs.on_status(status, now):
             raise PayloadError("status", problem)
         self._tool.on_status(status)
-        self._values = status_values(status)
-        if status.get("state") == "offline":
+        self._values = status.shown()
+        if status.state == OFFLINE:
             self._strings.restart()
 
-    def on_answer(self, answer: dict, now: int) -> None:
+    def on_answer(self, answer: GatewayAnswer, now: int) -> None:
         """Take the gateway's answer to a control message; PayloadError where it has refused a speed limit."""
         self.supervisor.on_answer(answer, now)
         self._tool.on_answer(answer)
-        if answer.get("verb") == "speed_limit" and not answer.get("ok"):
-            reason = cut(answer.get("reason", ""))
-            raise PayloadError("speed_limit", Sentence("gateway refused the speed limit: {reason}", reason=reason))
+        if answer.verb == "speed_limit" and not answer.ok:
+            refused = Sentence("gateway refused the speed limit: {reason}", reason=cut(answer.reason))
+            raise PayloadError("speed_limit", refused)
 
     # -- the tool
 
@@ -333,10 +327,9 @@ class Bridge:
     # -- what a person asks for
 
     def ask(self, verb: str, person: str, moment: str | None, now: int, present: Moment) -> Asked:
-        """Ask for a session.
+        """Ask for a session: `reset` starts over from the arm's pose, `arm` where nothing needs to move for it.
 
         Args:
-            verb: `reset`: start over from the arm's pose. `arm`: where nothing needs to move for it; a bare PLC in a person's name.
             moment: Of what the person's screen had shown; None: asked at the robot's computers.
 
         Raises:
@@ -349,7 +342,7 @@ class Bridge:
             seen = parse_moment(moment)
             if problem := staleness(seen, present):
                 raise ExpiredError(Sentence("this is {problem}", problem=problem))
-            if not self._stops.was_seen(seen):
+            if not is_newer(seen, self._stop_shown_from):
                 raise ExpiredError(
                     Sentence("this is void: the arm was stopped after what the screen had shown; ask anew")
                 )
@@ -364,8 +357,9 @@ class Bridge:
         return asked
 
     def _note_stops(self, present: Moment) -> None:
-        # one that was not known yet: no screen has shown it
-        self._stops.note((*self.supervisor.known_stop, self.supervisor.halts), present)
+        stop = (*self.supervisor.known_stop, self.supervisor.halts)
+        if stop != self._stop:
+            self._stop, self._stop_shown_from = stop, replace(present, at=present.at + SHOWN_AFTER)
 
     def mirror(self, leads: bool, now: int) -> tuple[str, Asked | None]:
         """Begin or end mirror mode; return one sentence, and the request that it ends in."""
@@ -391,7 +385,7 @@ class Bridge:
         # a status of a gateway that is gone says nothing of now
         if supervisor.state in (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE):
             return supervisor.reason
-        return both(supervisor.reason, controller_sentence(supervisor.inputs.status))
+        return both(supervisor.reason, supervisor.inputs.status.sentence_of("controller"))
 
     def news(self, now: int, connection: str) -> tuple[bool, bool]:
         """Return whether the link is to be reported now, and whether it has changed but for figures."""
@@ -412,22 +406,22 @@ class Bridge:
 
     @property
     def _gateway_values(self) -> dict[str, object]:
-        return self.supervisor.inputs.status.get("counters", {}) | self._values
+        return {**self.supervisor.inputs.status.counters, **self._values}
 
     def report(self, connection: str, refused: Mapping[str, int], stamp: int) -> LinkReport:
         """Return the report on `link`; `refused`: how often inputs were refused, by reason."""
-        supervisor = self.supervisor
-        reply = supervisor.inputs.status.get("reply_us", {})
+        supervisor, status = self.supervisor, self.supervisor.inputs.status
+        reply = status.reply_us
         counters = self._gateway_values | {
-            "decimals": supervisor.inputs.status.get("decimals", ""),
-            "reply_us_max": reply.get("max", 0),
+            "decimals": "" if status.decimals is None else status.decimals,
+            "reply_us_max": reply.max,
             "states_lost": self._strings.lost,
         }
         states_refused = sum(count for name, count in refused.items() if name.startswith("stat"))
         return LinkReport(
             supervisor.state.name,
             self.reason(connection),
-            gateway_state=str(supervisor.inputs.status.get("state", "offline")),
+            gateway_state=status.state,
             gateway_counters={key: str(value) for key, value in sorted(counters.items())},
             commands_refused=sum(refused.values()) - states_refused,
             states_refused=states_refused,
@@ -438,8 +432,8 @@ class Bridge:
             state=supervisor.state.value,
             stamp=stamp,
             commands_sent=self._strings.sent,
-            reply_us_bins=tuple(reply.get("bins", ())),
-            reply_us_counts=tuple(reply.get("counts", ())),
+            reply_us_bins=tuple(reply.bins),
+            reply_us_counts=tuple(reply.counts),
         )
 
     def values(self) -> dict[str, object]:

@@ -1,12 +1,12 @@
-"""What the gateway says on `status`, checked by a model, and as what `link`, `tool` and `/diagnostics` tell of it."""
+"""What the gateway says on `status` and answers on `control/ack`, read by models, and as `link` and `/diagnostics` tell it."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, FailFast, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, FailFast, Field, ValidationError, ValidationInfo
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.sentences import LONGEST, Sentence, heard
@@ -15,8 +15,8 @@ from construction_twin.mqtt.messages import FIRST_PROTOCOL, OFFLINE, PLC, READY,
 
 #: Longest text that is told, and longest status [bytes].
 _LONGEST, _MOST_BYTES = 300, 1 << 20
-#: Most sentences that are told of, and how deep they stand: in a switch of the tool.
-_MOST_SAID, _LEVELS = 256, 4
+#: Most sentences that are told of.
+_MOST_SAID = 256
 #: Objects of the status whose values are shown, each under its own name and theirs.
 _GROUPS = ("controller", "cycle", "playout", "speed_limit", "stop", "intruder")
 _SINGLE = ("mode", "fault_number", "last_refusal", "later_refusal", "last_ipoc_jump_ms")
@@ -31,16 +31,22 @@ def _short(text: str) -> str:
     return text
 
 
+def _sentence(text: str, info: ValidationInfo) -> str:
+    """Return a text as the sentence that the message has told of."""
+    return (info.context or {}).get(text, text[:LONGEST])
+
+
 def _different(switches: list[_Switch]) -> list[_Switch]:
     if len({switch.id for switch in switches}) < len(switches):
         raise ValueError("a switch stands in it twice")
     return switches
 
 
+_Text = Annotated[str, AfterValidator(_sentence)]
 _Count = Annotated[int, Field(ge=0, lt=1 << 63)]
 # a whole number in JSON may have more digits than a float holds
 _Number = Annotated[float, Field(gt=-(2.0**63), lt=2.0**63)]
-_Shown = str | _Number | None
+_Shown = _Text | _Number | None
 _Name = Annotated[str, Field(max_length=64)]
 _Group = Annotated[dict[_Name, _Shown], Field(max_length=32)]
 # a record of each fault in a long list would hold up the bridge
@@ -50,18 +56,19 @@ _Signals = Annotated[dict[_Name, bool], Field(max_length=16)]
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(strict=True)
+    model_config = ConfigDict(strict=True, frozen=True)
 
 
 class _Histogram(_Part):
     bins: _Counts = []
     counts: _Counts = []
+    max: _Count | _Number = 0
 
 
 class _Switch(_Part):
     id: str
     state: Literal["armed", "fired", "void", "refused"]
-    reason: str
+    reason: _Text
 
 
 class _Tool(_Part):
@@ -70,18 +77,24 @@ class _Tool(_Part):
     outputs: _Signals
     inputs: _Signals
     switches: Annotated[list[_Switch], Field(max_length=MOST_REPORTED), AfterValidator(_different)] = []
-    reason: str
+    reason: _Text
 
 
-class _Status(_Part):
-    """What is read of a status; it may hold more."""
+class GatewayStatus(_Part):
+    """What is read of a status, of which more may hold; a bare PLC has `kind` and `state` alone."""
 
-    state: str = ""
-    reason: str = ""
+    kind: Literal["rsi", "plc"] = RSI  # type: ignore[assignment]  # a constant
+    state: str = OFFLINE
+    reason: _Text = ""
+    session: str = ""
     run: Annotated[str, AfterValidator(_short)] = ""
+    connection: _Count | None = None
     fault: bool = False
-    fault_number: _Count = 0
+    #: Of the last stop or fault in its run; None: it names none.
+    fault_number: _Count | None = None
     protocol: _Count = FIRST_PROTOCOL
+    hash: str = ""
+    decimals: _Count | None = None
     counters: dict[str, _Count] = {}
     reply_us: _Histogram = _Histogram()
     tool: _Tool = Field(default=None)  # type: ignore[assignment]  # there is none, or one that is whole
@@ -96,62 +109,76 @@ class _Status(_Part):
     stop: Annotated[dict[_Name, _Shown | _PerAxis], Field(max_length=32)] = {}
     intruder: _Group = {}
 
+    @property
+    def has_failed(self) -> bool:
+        """True when the gateway's program has failed: it brakes, holds and takes nothing until it is started again."""
+        return self.state == "failed"
 
-def parse_status(payload: bytes) -> dict:
-    """Return a gateway's status, or its answer; PayloadError (``status``) when it is not as the interface says."""
-    status = parse_object(payload, "status", _MOST_BYTES)
+    @property
+    def reads_only(self) -> bool:
+        """True when the controller takes no corrections (ONLYSEND)."""
+        return self.state == "read_only"
+
+    @property
+    def is_armed(self) -> bool:
+        """True when it is armed for its `session`, or follows it."""
+        return self.state in ("armed", "following")
+
+    def shown(self) -> dict[str, str]:
+        """Return what was told beside the counters: ``{"playout_delay_ms": "20", "intruder_session": "", ...}``."""
+        values = {name: _text(getattr(self, name)) for name in _SINGLE if name in self.model_fields_set}
+        for group in _GROUPS:
+            values |= {f"{group}_{name}": _text(value) for name, value in getattr(self, group).items()}
+        return values
+
+    def sentence_of(self, group: Literal["controller", "cycle"]) -> str:
+        """Return why the arm may not move, or by how much the controller's clock is off; "" for no reason."""
+        return _text(getattr(self, group).get("sentence"))
+
+
+class GatewayAnswer(_Part):
+    """What is read of an answer to a control message."""
+
+    id: str = ""
+    verb: str = ""
+    ok: bool = False
+    reason: _Text = ""
+
+
+#: Nothing was heard.
+NO_STATUS = GatewayStatus()
+_Model = TypeVar("_Model", GatewayStatus, GatewayAnswer)
+
+
+def read(kind: type[_Model], document: Mapping[str, Any]) -> _Model:
+    """Return a status or an answer; PayloadError (``status``) when it is not as the interface says."""
+    said = document.get("said")
+    known = heard(said) if isinstance(said, dict) and len(said) <= _MOST_SAID else {}
     try:
-        _Status.model_validate(status)
+        # what its message holds of its kind does not count
+        return kind.model_validate({**document, "kind": RSI}, context=known)
     except ValidationError as error:
         place = ".".join(str(level)[:64] for level in error.errors()[0]["loc"])
         raise PayloadError(
             "status", Sentence("status message whose {name} is not what the interface says", name=place)
         ) from None
-    said = status.pop("said", None)
-    if "reason" in status:
-        status["reason"] = status["reason"][:LONGEST]
-    return _with_sentences(status, heard(said) if isinstance(said, dict) and len(said) <= _MOST_SAID else {}, _LEVELS)
 
 
-def _with_sentences(value: Any, known: Mapping[str, Sentence], levels: int) -> Any:
-    if isinstance(value, dict) and levels:
-        return {name: _with_sentences(each, known, levels - 1) for name, each in value.items()}
-    if isinstance(value, list) and levels:
-        return [_with_sentences(each, known, levels - 1) for each in value]
-    return known.get(value, value) if isinstance(value, str) else value
-
-
-def parse_presence(payload: bytes) -> dict:
-    """Parse what is on `status`, whoever sent it: a gateway's JSON, see `parse_status`, or a bare PLC's word.
-
-    Returns:
-        Of a bare PLC ``{"state": "ready", "kind": "plc"}``. In a gateway's `kind` is ``rsi``, whatever its message holds.
-    """
+def parse_status(payload: bytes) -> GatewayStatus:
+    """Return what is said on `status`, a gateway's JSON or a bare PLC's word, or raise PayloadError as `read`."""
     if payload in (READY.encode(), OFFLINE.encode()):
-        return {"state": payload.decode(), "kind": PLC}
-    return parse_status(payload) | {"kind": RSI}
+        return GatewayStatus.model_construct(kind=PLC, state=payload.decode())
+    return read(GatewayStatus, parse_object(payload, "status", _MOST_BYTES))
+
+
+def parse_answer(payload: bytes) -> GatewayAnswer:
+    """Return an answer to a control message, or raise PayloadError as `read`."""
+    return read(GatewayAnswer, parse_object(payload, "status", _MOST_BYTES))
 
 
 def without_counts(reason: str) -> str:
     """Return a reason without the numbers that go on while nothing else changes: to ask whether it is news, not to be read."""
     return _COUNTS.sub(r"\1", reason)
-
-
-def status_values(status: Mapping[str, Any]) -> dict[str, str]:
-    """Return what stands beside the counters of a parsed status; what is absent is left out.
-
-    Returns:
-        E.g. ``{"playout_delay_ms": "20", "intruder_session": "", "last_refusal": "..."}``; "" for what is not known.
-    """
-    values = {name: _text(status[name]) for name in _SINGLE if name in status}
-    for group in _GROUPS:
-        values |= {f"{group}_{name}": _text(value) for name, value in status.get(group, {}).items()}
-    return values
-
-
-def controller_sentence(status: Mapping[str, Any]) -> str:
-    """Return why the arm may not move, as the controller told the gateway; "" for no reason."""
-    return _text(status.get("controller", {}).get("sentence"))
 
 
 def _text(value: Any) -> str:

@@ -5,15 +5,14 @@ Pure: time is an argument [ns]. Angles in rad (axis space).
 
 from __future__ import annotations
 
-from dataclasses import replace
 from enum import Enum
 
-from construction_twin.core.freshness import Moment, is_newer
 from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.mqtt.messages import OFFLINE, PLC, PROTOCOL, other_protocol, protocol_of
+from construction_twin.link.gateway_status import NO_STATUS, GatewayStatus
+from construction_twin.mqtt.messages import OFFLINE, PLC, PROTOCOL, other_protocol
 
 #: A pose or command older than this is not used for a decision [ns].
 FRESH = NANOSECONDS // 4
@@ -49,23 +48,6 @@ class LinkState(Enum):
 ABSENT = (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE, LinkState.NO_CONTROLLER, LinkState.MISMATCH)
 
 
-class SeenStops:
-    """When the last stop became known; it has to be noted at least as often as it is asked for."""
-
-    def __init__(self) -> None:
-        self._stop: object = None
-        self._shown_from: Moment | None = None
-
-    def note(self, stop: object, now: Moment) -> None:
-        """Take which stop is the last one that is known, by anything that another one differs in."""
-        if stop != self._stop:
-            self._stop, self._shown_from = stop, replace(now, at=now.at + SHOWN_AFTER)
-
-    def was_seen(self, seen: Moment) -> bool:
-        """Return whether a view of this moment has shown the last stop."""
-        return is_newer(seen, self._shown_from)
-
-
 class ArmAndStream:
     """The newest pose of the arm and the newest command, and whether they rest and meet."""
 
@@ -82,18 +64,18 @@ class ArmAndStream:
         self._command_at, self._command_rests_since = -FRESH, 0
 
     def on_pose(self, q: tuple[float, ...], now: int) -> None:
-        """Take the arm's pose [rad]."""
+        """Store the arm's pose [rad]."""
         if self._pose is None or outside_tolerance(q, self._rest_pose, self._rest_bands) is not None:
             self._rest_pose, self._moved_at = q, now
         self._pose, self._pose_at = q, now
         self._refusals = 0
 
     def on_pose_refused(self, sentence: str, now: int) -> None:
-        """Take why a string of the arm's pose was refused."""
+        """Store why a string of the arm's pose was refused."""
         self._refusals, self._refusal, self._refused_at = self._refusals + 1, sentence, now
 
     def on_command(self, q: tuple[float, ...], now: int) -> None:
-        """Take a command that wants to be sent [rad]."""
+        """Store a command that wants to be sent [rad]."""
         # before the first one, and after a pause, it is not known how it moved
         if q != self._command or now - self._command_at >= FRESH:
             self._command_rests_since = now
@@ -105,7 +87,11 @@ class ArmAndStream:
 
     def at_rest(self, now: int) -> bool:
         """Return whether the arm's pose is known, and has not changed for `REST`."""
-        return self._pose is not None and now - self._pose_at < FRESH and now - self._moved_at >= REST
+        return self.pose_is_fresh(now) and now - self._moved_at >= REST
+
+    def pose_is_fresh(self, now: int) -> bool:
+        """Return whether the arm's pose is known."""
+        return self._pose is not None and now - self._pose_at < FRESH
 
     def why_not_at_rest(self, now: int) -> str:
         """Return why the arm does not count as at rest, or why its strings are refused; empty when it is at rest."""
@@ -129,32 +115,29 @@ class ArmAndStream:
 
     def stream_rests(self, now: int) -> bool:
         """Return whether commands come, and have been the same for `REST`; a stream that has just begun must still show it."""
-        is_fresh = self._command is not None and now - self._command_at < FRESH
-        return is_fresh and self._command_at - self._command_rests_since >= REST
+        return self._command_is_fresh(now) and self._command_at - self._command_rests_since >= REST
+
+    def _command_is_fresh(self, now: int) -> bool:
+        return self._command is not None and now - self._command_at < FRESH
 
     def within_tolerance(self, now: int) -> bool:
         """Return whether the newest command and the newest pose are fresh and within the start tolerance of each other."""
-        if (
-            self._command is None
-            or self._pose is None
-            or now - self._command_at >= FRESH
-            or now - self._pose_at >= FRESH
-        ):
+        if not self._command_is_fresh(now) or not self.pose_is_fresh(now):
             return False
-        return outside_tolerance(self._command, self._pose, self._tolerances) is None
+        return outside_tolerance(self._command, self._pose, self._tolerances) is None  # type: ignore[arg-type]  # they are fresh
 
 
 class LinkObservations(ArmAndStream):
     """The newest of everything that the link is decided by.
 
     Attributes:
-        status: The gateway's last status; empty while there is no connection.
+        status: The gateway's last one; `NO_STATUS` while there is no connection.
     """
 
     def __init__(self, config: GatewayConfig):
         super().__init__(config)
         self._hash, self._decimals = config.hash, config.decimals
-        self.status: dict = {}
+        self.status = NO_STATUS
         self._status_at = 0
         self._connected = False
         # gateways that answer beside the one whose status is taken: run, and when it was heard last
@@ -166,108 +149,70 @@ class LinkObservations(ArmAndStream):
     # -- what comes in
 
     def on_connection(self, connected: bool) -> None:
-        """Take the state of the connection to the broker."""
+        """Store whether there is a connection to the broker."""
         self._connected = connected
         if not connected:
-            self.status = {}
+            self.status = NO_STATUS
             self._other_runs.clear()
 
-    def on_status(self, status: dict, now: int) -> str:
+    def on_status(self, status: GatewayStatus, now: int) -> str:
         """Take what was said on `status`; return in a sentence why it was not taken, empty when it was.
 
-        While a gateway answers, only its own run's word may end a motion. Another run's is remembered: two are an `obstacle`.
+        While a gateway answers, only its own run's word may end a motion; two runs are an `obstacle`.
         """
         problem = self.why_not_believed(status, now)
-        if status.get("kind") != PLC:
-            self._note_run(_run_of(status), status.get("state") != OFFLINE and bool(problem), now)
+        if status.kind != PLC:
+            self._note_run(status.run, status.state != OFFLINE and bool(problem), now)
         if not problem:
             self.status, self._status_at = status, now
             self._note_stop()
         return problem
 
-    def why_not_believed(self, status: dict, now: int) -> str:
+    def why_not_believed(self, status: GatewayStatus, now: int) -> str:
         """Return why what was said on `status` is not to be taken, as a sentence; empty when it is."""
-        if not self.status or self.gateway == OFFLINE or now - self._status_at > STATUS_TIMEOUT:
+        known = self.status
+        if known.state == OFFLINE or now - self._status_at > STATUS_TIMEOUT:
             return ""
-        if status.get("kind") == PLC and self.status.get("kind") != PLC:
-            return Sentence("a bare PLC's word `{word}` on `status`, where rsi_gateway answers", word=status["state"])
-        run = _run_of(status)
-        if self.status.get("kind") == PLC or not self.run:
+        if status.kind == PLC and known.kind != PLC:
+            return Sentence("a bare PLC's word `{word}` on `status`, where rsi_gateway answers", word=status.state)
+        if known.kind == PLC or not known.run:
             return ""
-        if run != self.run:
-            runs = {"run": repr(run), "present": repr(self.run)}
-            if status.get("state") == OFFLINE:
+        if status.run != known.run:
+            runs = {"run": repr(status.run), "present": repr(known.run)}
+            if status.state == OFFLINE:
                 return Sentence("the last will of run {run}, while run {present} answers: it changes nothing", **runs)
             return Sentence("status of run {run}, while run {present} answers too", **runs)
-        former, present = status.get("connection"), self.status.get("connection")
-        if status.get("state") == OFFLINE and type(former) is type(present) is int and former < present:
-            return Sentence("the last will of a former connection of run {run}: it changes nothing", run=repr(run))
-        number, known = status.get("fault_number"), self.fault_number
-        if type(number) is int and known is not None and number < known:
+        if status.state == OFFLINE and _is_before(status.connection, known.connection):
+            found = {"run": repr(known.run)}
+            return Sentence("the last will of a former connection of run {run}: it changes nothing", **found)
+        if _is_before(status.fault_number, known.fault_number):
             # a client sends again what was not acknowledged, behind what is newer
-            return Sentence("an old status, of stop {number} after stop {known}", number=number, known=known)
+            numbers = {"number": str(status.fault_number), "known": str(known.fault_number)}
+            return Sentence("an old status, of stop {number} after stop {known}", **numbers)
         return ""
 
     def _note_run(self, run: str, speaks: bool, now: int) -> None:
-        """Take note of whether a run that is not the present one speaks; too many are not remembered."""
         heard = {other: at for other, at in self._other_runs.items() if other != run and now - at <= STATUS_TIMEOUT}
-        if speaks and run != self.run and len(heard) < OTHER_RUNS:
+        if speaks and run != self.status.run and len(heard) < OTHER_RUNS:
             heard[run] = now
         self._other_runs = heard
 
     def _note_stop(self) -> None:
-        run, number = self.run, self.fault_number
-        if not run or number is None or self.gateway == OFFLINE:
+        status = self.status
+        run, number = status.run, status.fault_number
+        if not run or number is None or status.state == OFFLINE:
             return
-        if not self.fault:
+        if not status.fault:
             self._clear = run, number
             if self._stopped_in == run:
                 self._stopped_in = ""
-        elif self.gateway_failed or (number and (run, number) != self._clear):
+        elif status.has_failed or (number and (run, number) != self._clear):
             # a program that ends stops too, which gets no number; one that has failed may not have got as far as one
-            self._stopped_in, self._stop_told = run, self.gateway_reason
+            self._stopped_in, self._stop_told = run, status.reason
 
     def forget_stop(self) -> None:
         """The link is armed: whatever was stopped before, a person has asked for that."""
         self._stopped_in = ""
-
-    # -- the gateway
-
-    @property
-    def gateway(self) -> str:
-        """State of the gateway, as its status names it."""
-        return str(self.status.get("state", "offline"))
-
-    @property
-    def gateway_reason(self) -> str:
-        """The gateway's sentence on its state."""
-        return self.status.get("reason", "")
-
-    @property
-    def gateway_failed(self) -> bool:
-        """True when the gateway's program has failed: it brakes, holds and takes nothing until it is started again."""
-        return self.gateway == "failed"
-
-    @property
-    def reads_only(self) -> bool:
-        """True when the controller takes no corrections (ONLYSEND)."""
-        return self.gateway == "read_only"
-
-    @property
-    def fault(self) -> bool:
-        """True when the gateway was stopped by anything but silence since its last reset, whether or not this bridge ran then."""
-        return bool(self.status.get("fault", False))
-
-    @property
-    def run(self) -> str:
-        """The gateway's present run; "" when its status names none."""
-        return _run_of(self.status)
-
-    @property
-    def fault_number(self) -> int | None:
-        """Number of the last stop or fault in the gateway's run; None when its status names none."""
-        number = self.status.get("fault_number")
-        return number if type(number) is int else None
 
     @property
     def stop_told(self) -> str:
@@ -277,65 +222,64 @@ class LinkObservations(ArmAndStream):
     @property
     def stopped_before(self) -> str:
         """Why a former run of the gateway was stopped, if nobody has reset it: a run that begins anew forgets it; else ""."""
-        return self._stop_told if self._stopped_in not in ("", self.run) else ""
+        return self._stop_told if self._stopped_in not in ("", self.status.run) else ""
 
     @property
     def could_go_on(self) -> bool:
         """True when the gateway is ready, armed for a stream that never began, or holds and its last stop was for silence."""
-        stop = self.status.get("stop")
-        by_silence = isinstance(stop, dict) and stop.get("cause") == "silence"
-        return self.gateway in ("ready", "armed") or (self.gateway == "holding" and by_silence)
+        by_silence = self.status.stop.get("cause") == "silence"
+        return self.status.state in ("ready", "armed") or (self.status.state == "holding" and by_silence)
 
     def follows(self, session: str) -> bool:
         """Return whether the gateway is armed for a session or follows it."""
-        return self.gateway in ("armed", "following") and self.status.get("session") == session
+        return self.status.is_armed and self.status.session == session
 
     def follows_another(self, session: str) -> bool:
         """Return whether the gateway is armed for another session than this one, or follows it."""
-        return self.gateway in ("armed", "following") and self.status.get("session") != session
+        return self.status.is_armed and self.status.session != session
 
     def obstacle(self, now: int, mirrors: bool) -> tuple[LinkState, str] | None:
         """Return what is missing for a link that commands, or in mirror mode for one that follows, and one sentence."""
         if not self._connected:
             return LinkState.DISCONNECTED, Sentence("not connected to the broker")
-        if self.status.get("kind") == PLC and self.gateway != OFFLINE:
+        status = self.status
+        if status.kind == PLC and status.state != OFFLINE:
             return LinkState.MISMATCH, Sentence(
                 "a bare PLC answers on the broker, no rsi_gateway: start with gateway_kind:=plc (docs/broker.md)"
             )
-        if self.gateway == "offline" or now - self._status_at > STATUS_TIMEOUT:
+        if status.state == OFFLINE or now - self._status_at > STATUS_TIMEOUT:
             return LinkState.GATEWAY_OFFLINE, Sentence(
                 "no gateway answers on the broker; start rsi_gateway on the cell PC"
             )
         others = sorted(run for run, heard in self._other_runs.items() if now - heard <= STATUS_TIMEOUT)
         if others:
-            runs = " and ".join(f"run {run}" if run else "one without a run" for run in sorted([self.run, *others]))
+            runs = " and ".join(f"run {run}" if run else "one without a run" for run in sorted([status.run, *others]))
             return LinkState.MISMATCH, Sentence(
                 "more than one gateway answers on the broker: {runs} (each logs its run when it starts): end all but one",
                 runs=runs,
             )
-        if sentence := other_protocol(protocol_of(self.status), PROTOCOL):
+        if sentence := other_protocol(status.protocol, PROTOCOL):
             return LinkState.MISMATCH, sentence
-        if self.status.get("decimals") != self._decimals:
+        if status.decimals != self._decimals:
             return LinkState.MISMATCH, Sentence(
                 "gateway uses {gateway} decimals, the bridge {bridge}: give both the same number",
-                gateway=str(self.status.get("decimals")),
+                gateway=str(status.decimals),
                 bridge=self._decimals,
             )
-        if self.status.get("hash") != self._hash:
+        if status.hash != self._hash:
             return LinkState.MISMATCH, Sentence(
                 "gateway runs another configuration (its hash differs); export it by `twin gateway`, then restart the gateway"
             )
-        if not self.run or self.fault_number is None:
+        if not status.run or status.fault_number is None:
             return LinkState.MISMATCH, Sentence(
                 "gateway names no run, or no fault_number, in its status; install the same version on both sides"
             )
-        if self.gateway in NO_SESSION or (self.gateway in ONLY_POSES and not mirrors):
+        if status.state in NO_SESSION or (status.state in ONLY_POSES and not mirrors):
             return LinkState.NO_CONTROLLER, Sentence(
-                "gateway has no RSI session to command: {reason}", reason=self.gateway_reason
+                "gateway has no RSI session to command: {reason}", reason=status.reason
             )
         return None
 
 
-def _run_of(status: dict) -> str:
-    run = status.get("run")
-    return run if isinstance(run, str) else ""
+def _is_before(number: int | None, other: int | None) -> bool:
+    return number is not None and other is not None and number < other

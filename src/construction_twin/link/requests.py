@@ -97,15 +97,7 @@ _Model = TypeVar("_Model", bound=Request)
 
 
 def read_document(payload: bytes, retained: bool, what: str, limit: int, parameter: str = "") -> dict[str, Any]:
-    """Return the JSON object of a message.
-
-    Args:
-        what: Name of its kind, for the sentence.
-        parameter: That sets the limit [bytes], where a motion can have fewer points; "" for none.
-
-    Raises:
-        PayloadError: ``retained``, ``size`` or ``format``.
-    """
+    """Return the JSON object of a message; PayloadError ``retained``, ``size`` or ``format``. `parameter`: what sets the limit."""
     demand_live(retained, what)
     if len(payload) > limit:
         more = f" ({parameter}); use fewer points" if parameter else ""
@@ -166,9 +158,9 @@ class ReviewRequest:
         verdict: ``approved`` or ``rejected``.
         reviewer: Who is on record: the topic's account, and only without one what the message says.
         account: The topic's, which a site's broker has checked; "" on `review`.
-        says: What a message of an account says of who gave it, where that is another name; proves nothing.
+        says: Another name that a message of an account gives; proves nothing.
         moment: The newest that the screen had received; of a rejection it may be "".
-        rehearsal_hash: Of an override: of the result that it is in spite of, as the person saw it; "": there was none.
+        rehearsal_hash: Of an override: of the result as the person saw it; "": there was none.
     """
 
     plan_id: str
@@ -235,10 +227,7 @@ class Override(Verdict):
 
 
 class AnswerRequest(Request):
-    """A message on `answer/<account>`: one of the `answers` to a task's question, which is repeated as the screen had shown it.
-
-    It changes what the ledger says of the cell.
-    """
+    """A message on `answer/<account>`: one of the `answers` to a task's question, which is repeated as the screen had shown it."""
 
     id: Id
     task: Id
@@ -284,19 +273,19 @@ class RaiseSpeed(PressedAsSeen):
 
 @dataclass(frozen=True)
 class GoalRequest:
-    """A request for a plan to a goal, by MQTT, from the command line or the marker in rviz: a plan for review, or a sentence.
+    """A request for a plan to a goal, by MQTT, from the command line or the marker in rviz.
 
     Attributes:
         kind: One of `GOALS`, or ``csv``, which is not taken by MQTT; of the fields below only those of its kind count.
         moment: Of MQTT: the newest that the screen had received.
-        joints: Goal in the robot's order [rad], [m].
+        joints: In the robot's order [rad], [m].
         position, orientation: Of tool0 in `frame` [m]; x y z w, of unit length.
         configuration: Empty: any.
         speed: Of the tool along a line [m/s]; 0: as fast as the limits allow.
         speed_scale, acceleration_scale, duration: Fractions of the limits, and [s]; 0: the planner's default.
-        task: Id of a task of the building model; empty: the next one.
+        task: Of the building model; empty: the next one.
         frame: Of tf; by MQTT always "", the base_link.
-        path, columns: Of a file of waypoints on the planner's machine; see `waypoint_file`.
+        path, columns: Of a file of waypoints on the planner's machine.
     """
 
     kind: str
@@ -324,42 +313,21 @@ class WayBack(Request):
     moment: Seen = Field("", validate_default=True)
 
 
-class WorkTask(WayBack):
-    """The next task of a building model, or one of them."""
-
-    task: Text = ""
+_SCALES: Any = {"speed_scale": (Fraction, 0.0), "acceleration_scale": (Fraction, 0.0)}
+_POSE: Any = {"position": (Position, ...), "orientation": (Quaternion, ...), **_SCALES}
 
 
-class _Scaled(WayBack):
-    speed_scale: Fraction = 0.0
-    acceleration_scale: Fraction = 0.0
-
-
-class JointGoal(_Scaled):
-    """A goal of joints."""
-
-    joints: JointValues
-
-
-class PoseGoal(_Scaled):
-    """A goal of the tool."""
-
-    position: Position
-    orientation: Quaternion
-    configuration: Text = ""
-
-
-class LineGoal(_Scaled):
-    """A goal of the tool, on a straight line."""
-
-    position: Position
-    orientation: Quaternion
-    speed: Annotated[Number, Field(ge=0.0)] = 0.0
+def _goal(**fields: Any) -> type[WayBack]:
+    return pydantic.create_model("Goal", __base__=WayBack, **fields)
 
 
 GOALS: Mapping[str, type[WayBack]] = {
-    "joints": JointGoal, "pose": PoseGoal, "line": LineGoal, "way_back": WayBack, "work_task": WorkTask,
-}  # fmt: skip
+    "joints": _goal(joints=(JointValues, ...), **_SCALES),
+    "pose": _goal(**_POSE, configuration=(Text, "")),
+    "line": _goal(**_POSE, speed=(Annotated[Number, Field(ge=0.0)], 0.0)),
+    "way_back": WayBack,
+    "work_task": _goal(task=(Text, "")),
+}
 
 
 def read_goal(document: Mapping[str, Any], joints: Joints) -> GoalRequest:

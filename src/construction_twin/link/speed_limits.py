@@ -34,8 +34,8 @@ _KEYS = ("person", "limit", "replaced", "replaced_person", "since")
 def read_people(path: Path) -> tuple[SpeedChange, str]:
     """Return what people had set, and why that is not known, or no other could be kept; "" where it is.
 
-    The file has its room from the first start on and is written in place, so a disk that is full later takes every limit. Beside it
-    lies a mark that there was one: what is not there any more is not known.
+    The file has its room from the first start on and is written in place, so a disk that is full later takes every limit. A mark
+    beside it says that there was one.
     """
     mark = path.with_suffix(".mark")
     try:
@@ -103,9 +103,7 @@ class SpeedLimits:
         )
 
     def asked(self, limit: float, person: str, moment: str, now: Moment, at: int) -> SpeedChange:
-        """Return what `set` would make the limit of people at the ROS time `at` [ns].
-
-        `moment` is the newest that the person's screen had received: with it the limit is only raised, without it only lowered.
+        """Return what `set` would make the limit of people at the ROS time `at` [ns]; a moment only raises it, none only lowers it.
 
         Raises:
             PayloadError: ``values``, ``person``, ``moment``, or ``direction``.

@@ -1,10 +1,8 @@
 """Who may command, and when: the bridge's side of arming and resetting the gateway.
 
-Pure: events in, control messages out; time is an argument [ns]. Angles in rad (axis space).
-
-A session is one continuous right to command. Its change makes the twin take over the arm's pose and executor and gate start over;
-only then, with a command stream within the start tolerance of the arm, is the gateway armed (docs/architecture.md, law 5). What
-leads from state to state is read from `poll` downwards: what is missing, which side may command, which message comes next.
+Pure: events in, control messages out; time is an argument [ns]. Angles in rad (axis space). A session is one continuous right to
+command. Its change makes the twin take over the arm's pose and executor and gate start over; only then, with a command stream
+within the start tolerance of the arm, is the gateway armed (law 5). What leads from state to state is read from `poll` downwards.
 """
 
 from __future__ import annotations
@@ -15,6 +13,7 @@ from construction_twin.core.errors import ReviewError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
+from construction_twin.link.gateway_status import GatewayAnswer
 from construction_twin.link.observations import ABSENT, LinkObservations, LinkState
 from construction_twin.mqtt.messages import RSI, Control, arm_value, reset_value
 
@@ -29,21 +28,16 @@ class LinkSupervisor:
     """Decides when to start a session, arm, and resume.
 
     Args:
-        new_id: Returns a new unique id.
         mirrors: Whether the arm leads from the start: it did when the process before this one ended, and only a person ends that.
         waits: What `waits_for` said when the process before this one ended: then nothing is armed before a person resets.
 
     Attributes:
-        state, reason: The link's, and why, in one sentence.
         session: "" before the first.
-        inputs: What is known of gateway, arm and command stream.
         mirrors: True from `begin_mirror` to its end, also while the arm's pose is not known.
         responsible: Who has armed a bare PLC; empty for a gateway, which checks by itself.
-        not_checked: What is not checked with a bare PLC.
-        kind: What takes the commands, of `messages.GATEWAY_KINDS`.
         sends_control: Whether control messages are understood.
         halts, requests: How often `halt` was called, and a session asked for: what was asked for before a halt is void.
-        withdraws: True while a failed request is being withdrawn: the gateway has not answered yet that nothing of it is in force.
+        withdraws: True until the gateway has answered that nothing of a failed request is in force.
     """
 
     kind = RSI
@@ -90,7 +84,7 @@ class LinkSupervisor:
 
     @property
     def waits_for(self) -> str:
-        """Why only a person leads on, in a sentence for the process after this one; "" when nothing stands against arming.
+        """Why only a person leads on, for the process after this one; "" when nothing stands against arming.
 
         A request counts until the link is armed: should this process end before, it has failed for the person who made it.
         """
@@ -106,7 +100,7 @@ class LinkSupervisor:
     @property
     def known_stop(self) -> tuple[str, int | None]:
         """Run and number of the gateway's last stop or fault, as far as it is known."""
-        return self.inputs.run, self.inputs.fault_number
+        return self.inputs.status.run, self.inputs.status.fault_number
 
     # -- what comes in
 
@@ -115,14 +109,14 @@ class LinkSupervisor:
         self.inputs.on_command(q, now)
         return self.session if self.state is LinkState.ARMED else ""
 
-    def on_answer(self, answer: dict, now: int) -> None:
+    def on_answer(self, answer: GatewayAnswer, now: int) -> None:
         """Take the gateway's answer to a control message."""
-        if self._pending is None or answer.get("id") != self._pending.id:
+        if self._pending is None or answer.id != self._pending.id:
             return
         verb, self._unanswered = self._pending.verb, False
-        if not answer.get("ok"):
+        if not answer.ok:
             # stays pending: asked again after the usual pause, not with every poll
-            self.reason = Sentence("gateway refused {verb}: {reason}", verb=verb, reason=answer.get("reason", ""))
+            self.reason = Sentence("gateway refused {verb}: {reason}", verb=verb, reason=answer.reason)
             self._arm_refused = verb == "arm"
             return
         self._pending = None
@@ -130,7 +124,7 @@ class LinkSupervisor:
             self._was_armed, self._under_way = True, ""
             self.inputs.forget_stop()
             armed = Sentence("session {session}", session=self.session)
-            if self.inputs.status.get("mode") == "commissioning":
+            if self.inputs.status.mode == "commissioning":
                 # the link is armed, and yet the arm stands still
                 armed = Sentence("session {session}; gateway is in commissioning mode", session=self.session)
             self._go(LinkState.ARMED, armed)
@@ -143,7 +137,7 @@ class LinkSupervisor:
         """Start over from the arm's pose, for a person: clear the stops known now, no later one; ReviewError where it cannot."""
         if self.mirrors:
             raise ReviewError(Sentence("cannot reset: the arm leads; call mirror with false, which ends in the same"))
-        if self.state in ABSENT or self.inputs.gateway_failed:
+        if self.state in ABSENT or self.inputs.status.has_failed:
             raise ReviewError(Sentence("cannot reset: {why}", why=self.reason))
         if unrest := self.inputs.why_not_at_rest(now):
             raise ReviewError(Sentence("cannot reset: {why}", why=unrest))
@@ -163,13 +157,10 @@ class LinkSupervisor:
         self.requests += 1
 
     def withdraw(self, request: int, reason: str) -> None:
-        """Give up a person's request that was answered as failed: nothing is armed until a person asks again.
+        """Give up a person's request that was answered as failed, unless a person has asked again: nothing is armed until one does.
 
         The gateway is told to stop: an `arm` that is still under way arms nothing then, and a bridge that is started again waits
         for a person too. Where mirror mode began since, it goes on, and has ended the request's session at the gateway.
-
-        Args:
-            request: `requests` after it was asked for; nothing happens when a person has asked again since.
         """
         if request != self.requests:
             return
@@ -181,7 +172,7 @@ class LinkSupervisor:
         if self.mirrors:
             return
         # a fault at the gateway outlasts this process, and the reason that it tells is the better one
-        self.withdraws = self._unanswered or not self.inputs.fault
+        self.withdraws = self._unanswered or not self.inputs.status.fault
         self._withdrawn_session, self._pending = self.session, None
         self._go(LinkState.NEEDS_RESET, self._halted)
 
@@ -206,7 +197,7 @@ class LinkSupervisor:
         """Stop following the arm, for a person, and start over as after `reset`. Return a sentence, or raise ReviewError."""
         if not self.mirrors:
             raise ReviewError(Sentence("the arm does not lead: {why}", why=self.sentence))
-        if self.inputs.gateway_failed:
+        if self.inputs.status.has_failed:
             raise ReviewError(_with_remedy(self.inputs, Sentence("mirror mode stays on: {reason}", reason=self.reason)))
         if why := self._why_no_mirror(now):
             raise ReviewError(Sentence("cannot leave mirror mode: {why}", why=why))
@@ -214,7 +205,7 @@ class LinkSupervisor:
         return self._after_mirror()
 
     def _after_mirror(self) -> str:
-        if self.inputs.reads_only:
+        if self.inputs.status.reads_only:
             return Sentence("mirror mode has ended; the gateway is read-only: its Ethernet XML needs ONLYSEND FALSE")
         self._want_session()
         return Sentence("mirror mode has ended; twin and gateway start over from the arm's pose")
@@ -263,26 +254,26 @@ class LinkSupervisor:
             # a status sent before the arming was answered still says ready
             recently = now - self._sent_at < RETRY
             # armed is only what shows no fault: this one came later
-            if known.fault:
+            if known.status.fault:
                 self._go(LinkState.NEEDS_RESET, _stop_sentence(self.inputs))
             elif not recently and not known.follows(self.session):
                 self._go(LinkState.NEEDS_RESET, _gateway_sentence(self.inputs))
         elif self.state is LinkState.RESYNC:
-            if known.fault and not self._asked_for:
+            if known.status.fault and not self._asked_for:
                 self._go(LinkState.NEEDS_RESET, _stop_sentence(self.inputs))
             elif self._asked_for and self._shown != self.known_stop:
                 self._void_request()
         elif self._halted is not None:
             # what the gateway still knows it tells better than the process before this one
-            told = _stop_sentence(self.inputs) if self._found and known.fault else self._halted
+            told = _stop_sentence(self.inputs) if self._found and known.status.fault else self._halted
             self._go(LinkState.NEEDS_RESET, told)
-        elif known.fault:
+        elif known.status.fault:
             self._go(LinkState.NEEDS_RESET, _stop_sentence(self.inputs))
         elif known.stopped_before:
-            values = {"reason": known.stopped_before, "state": known.gateway}
+            values = {"reason": known.stopped_before, "state": known.status.state}
             stopped = Sentence("gateway was stopped before it was started again ({reason}), and is {state}", **values)
             self._go(LinkState.NEEDS_RESET, _with_remedy(self.inputs, stopped))
-        elif not self._was_armed and known.gateway == "ready":
+        elif not self._was_armed and known.status.state == "ready":
             self._begin_session(Sentence("first session"))
         elif known.could_go_on and known.within_tolerance(now) and known.at_rest(now):
             # nothing could jump
@@ -301,8 +292,8 @@ class LinkSupervisor:
                 self._send("stop", self._withdrawn_session, now)
             elif self.state is LinkState.MIRROR and known.follows(self._ended_session):
                 self._send_reset(self._ended_session, now)
-        elif self.state is LinkState.RESYNC and known.gateway != "braking":
-            if known.gateway != "ready" or known.fault:
+        elif self.state is LinkState.RESYNC and known.status.state != "braking":
+            if known.status.state != "ready" or known.status.fault:
                 self._send_reset(self.session, now)
             elif not known.within_tolerance(now) or not (self._was_armed or known.at_rest(now)):
                 # before the first session it is unknown whether a program of the controller moves the arm
@@ -313,7 +304,7 @@ class LinkSupervisor:
                 self._begin_session(Sentence("another session, because {reason}", reason=self.reason))
                 self._asked_for = asked_for
             else:
-                self._send("arm", self.session, now, arm_value(self._hash, self.inputs.status["run"]))
+                self._send("arm", self.session, now, arm_value(self._hash, self.inputs.status.run))
 
     def _begin_session(self, reason: str) -> None:
         self.session = self._new_id()
@@ -323,14 +314,14 @@ class LinkSupervisor:
         self._go(LinkState.RESYNC, reason)
 
     def _void_request(self) -> None:
-        self.withdraws = self._unanswered and not self.inputs.fault
+        self.withdraws = self._unanswered and not self.inputs.status.fault
         self._withdrawn_session = self.session
         self._pending, self._asked_for = None, False
         run, _ = self._shown
-        if run != self.inputs.run:
+        if run != self.inputs.status.run:
             self._halted = Sentence("gateway was started again since the call; call reset")
         else:
-            number, reason = str(self.inputs.fault_number), self.inputs.gateway_reason
+            number, reason = str(self.inputs.status.fault_number), self.inputs.status.reason
             self._halted = _with_remedy(
                 self.inputs,
                 Sentence("gateway was stopped since the call (stop {number}): {reason}", number=number, reason=reason),
@@ -350,25 +341,25 @@ class LinkSupervisor:
 
 def _mirror_sentence(known: LinkObservations) -> Sentence:
     leads = Sentence("the arm leads, the twin follows; nothing is commanded")
-    if known.reads_only:
+    if known.status.reads_only:
         return Sentence("{leads}; the gateway is read-only", leads=leads)
-    if known.fault:
-        return Sentence("{leads}; the gateway was stopped and is {state}", leads=leads, state=known.gateway)
+    if known.status.fault:
+        return Sentence("{leads}; the gateway was stopped and is {state}", leads=leads, state=known.status.state)
     return leads
 
 
 def _gateway_sentence(known: LinkObservations) -> Sentence:
-    sentence = Sentence("gateway is {state}: {reason}", state=known.gateway, reason=known.gateway_reason)
-    return _with_remedy(known, sentence) if known.gateway_failed else sentence
+    sentence = Sentence("gateway is {state}: {reason}", state=known.status.state, reason=known.status.reason)
+    return _with_remedy(known, sentence) if known.status.has_failed else sentence
 
 
 def _stop_sentence(known: LinkObservations) -> Sentence:
-    values = {"number": str(known.fault_number), "state": known.gateway, "reason": known.gateway_reason}
+    values = {"number": str(known.status.fault_number), "state": known.status.state, "reason": known.status.reason}
     return _with_remedy(known, Sentence("gateway was stopped (stop {number}) and is {state}: {reason}", **values))
 
 
 def _with_remedy(known: LinkObservations, reason: str) -> Sentence:
     # a gateway whose program has failed takes no control message any more
-    if known.gateway_failed:
+    if known.status.has_failed:
         return Sentence("{reason}; restart rsi_gateway, then call reset", reason=reason)
     return Sentence("{reason}; call reset", reason=reason)

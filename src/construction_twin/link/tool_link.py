@@ -7,14 +7,13 @@ Whether it is armed, has fired or is void only the gateway knows; what it told l
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.gateway.tool_switches import MOST_REPORTED
-from construction_twin.link.gateway_status import cut
+from construction_twin.link.gateway_status import GatewayAnswer, GatewayStatus, cut
 from construction_twin.mqtt.messages import Control
 
 
@@ -67,27 +66,23 @@ class ToolLink:
 
     # -- from the gateway
 
-    def on_answer(self, answer: dict) -> None:
+    def on_answer(self, answer: GatewayAnswer) -> None:
         """Take the gateway's answer to a control message, also to others' and to other verbs."""
-        id = self._by_control.get(str(answer.get("id")))
-        if id is None or answer.get("verb") != "switch":
+        if answer.id not in self._by_control or answer.verb != "switch":
             return
-        del self._by_control[str(answer.get("id"))]
-        reason, accepted = cut(answer.get("reason", "")), answer.get("ok") is True
-        if accepted:
+        if answer.ok:
             self._refused = ""
-        self._report(id, SwitchState.ARMED if accepted else SwitchState.REFUSED, reason)
+        state = SwitchState.ARMED if answer.ok else SwitchState.REFUSED
+        self._report(self._by_control.pop(answer.id), state, cut(answer.reason))
 
-    def on_status(self, status: dict) -> None:
-        """Take the gateway's status, which `parse_status` has read."""
-        run = str(status.get("run", ""))
-        if run and run != self._run:
+    def on_status(self, status: GatewayStatus) -> None:
+        """Take the gateway's status."""
+        if status.run and status.run != self._run:
             if self._run:
                 self._lose(Sentence("the gateway was started again: whether it fired is not known"))
-            self._run = run
-        session = status.get("session")
-        if isinstance(session, str) and session and session != self._session:
-            self._session, self._refused = session, ""
+            self._run = status.run
+        if status.session and status.session != self._session:
+            self._session, self._refused = status.session, ""
         self._status = tool_report(status)
         for id, switch in self._status.switches.items():
             self._report(id, switch.state, switch.reason)
@@ -120,12 +115,10 @@ class ToolLink:
         return replace(status, switches=switches, reason=status.reason or self._refused)
 
 
-def tool_report(status: Mapping[str, Any]) -> ToolReport:
-    """Return what a parsed status says of the gateway's tool."""
-    if "tool" not in status:
+def tool_report(status: GatewayStatus) -> ToolReport:
+    """Return what a status says of the gateway's tool."""
+    if status.tool is None:
         return ToolReport(reason=Sentence("the gateway's configuration has no tool: a robot without hands"))
-    tool, states = status["tool"], {state.word: state for state in SwitchState}
-    switches = {
-        cut(each["id"]): SwitchReport(states[each["state"]], cut(each["reason"])) for each in tool.get("switches", [])
-    }
-    return ToolReport(tool["known"], cut(tool["name"]), tool["outputs"], tool["inputs"], switches, cut(tool["reason"]))
+    tool, states = status.tool, {state.word: state for state in SwitchState}
+    switches = {cut(each.id): SwitchReport(states[each.state], cut(each.reason)) for each in tool.switches}
+    return ToolReport(tool.known, cut(tool.name), tool.outputs, tool.inputs, switches, cut(tool.reason))

@@ -1,10 +1,7 @@
-"""A paho client set up the way this package needs it: MQTT 5 or 3.1.1, account, TLS, TCP_NODELAY, a last will.
+"""A paho client set up the way this package needs it: MQTT 5, account, TLS, TCP_NODELAY, a last will.
 
-Standard library and paho-mqtt only. Without TCP_NODELAY, traffic in both directions on one connection waits for the peer's
-delayed acknowledgement, up to 40 ms.
-
-An account file is JSON and holds names of files, never a secret; relative names start at its own folder. `make_site` writes
-one per account; for another broker it is written by hand::
+Without TCP_NODELAY, traffic in both directions waits for the peer's delayed acknowledgement, up to 40 ms. An account file holds
+names of files, never a secret; relative names start at its own folder::
 
     {"user": "kr120-gateway", "ca_file": "ca.crt", "password_file": "password"}
     {"ca_file": "ca.crt", "cert_file": "client.crt", "key_file": "client.key"}
@@ -18,6 +15,7 @@ import secrets
 import socket
 import ssl
 import stat
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -28,11 +26,7 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.network import is_loopback
-from construction_twin.mqtt.fast_client import DirectClient, FastClient, is_tested
-from construction_twin.mqtt.plain_client import PlainClient
-
-_PROTOCOLS = {"5": MQTTProtocolVersion.MQTTv5, "3.1.1": MQTTProtocolVersion.MQTTv311}
-
+from construction_twin.mqtt.fast_client import DirectClient, FastClient, check_paho
 
 #: An account file, and a password file, are short; anything longer is something else [bytes].
 _MAX_BYTES = 65536
@@ -44,8 +38,7 @@ class Account:
 
     Attributes:
         password_file: The password is its first line; only the owner may read it.
-        ca_file: Certificates (PEM) of who signed the broker's; with it the connection is TLS.
-        cert_file, key_file: Client certificate and its key (PEM, without a passphrase).
+        ca_file: PEM of who signed the broker's certificate; with it the connection is TLS.
         name: What messages call it: the account file, or the user.
     """
 
@@ -86,7 +79,7 @@ class Account:
 
 
 def load_account(path: str | Path) -> Account:
-    """Read an account file; return it with absolute paths, or raise ConfigurationError."""
+    """Read an account file; return it with absolute paths, or raise ConfigurationError, also where a secret cannot be used."""
     path = Path(path).expanduser()
     try:
         document = json.loads(_read(path))
@@ -99,7 +92,12 @@ def load_account(path: str | Path) -> Account:
         raise ConfigurationError(str(path), document, "texts as values")
     named = {key: value for key, value in document.items() if key.endswith("_file") and value}
     files = {key: str(path.parent.absolute() / value) for key, value in named.items()}
-    return Account(**(document | files), name=str(path))
+    account = Account(**(document | files), name=str(path))
+    if account.password_file:
+        account.password()
+    if account.ca_file:
+        account.context()
+    return account
 
 
 def _read(path: str | Path) -> str:
@@ -135,21 +133,15 @@ def _load(path: str, load, expected: str, *more: str) -> None:
 
 @dataclass(frozen=True)
 class Broker:
-    """Where the broker is and how to talk to it: `protocol` ``5`` or ``3.1.1``, `keepalive` in s, without an account anonymous.
-
-    Raises:
-        ConfigurationError: When the protocol is another one, or a password would cross a network in clear.
-    """
+    """Where the broker is; no account: anonymous. ConfigurationError for an untested paho, or a password in clear."""
 
     host: str = "127.0.0.1"
     port: int = 1883
-    protocol: str = "5"
     keepalive: int = 5
     account: Account | None = None
 
     def __post_init__(self):
-        if self.protocol not in _PROTOCOLS:
-            raise ConfigurationError("protocol", self.protocol, f"one of {', '.join(sorted(_PROTOCOLS))}")
+        check_paho()
         if self.account is not None and not self.encrypted and not is_loopback(self.host):
             expected = f"the CA of {self.host}'s certificate: a password crosses a network in TLS only"
             raise ConfigurationError(f"{self.account.name}: ca_file", "", expected)
@@ -170,10 +162,7 @@ OFFLINE = json.dumps({"state": "offline", "reason": "connection lost"})
 
 
 def offline_word(run: str, connection: int) -> str:
-    """Return what the broker says in a client's place when its connection is lost.
-
-    It says so of a run of the client's program, and of one of that run's connections: a broker may notice late that one is lost.
-    """
+    """Return `OFFLINE` of a run of the client's program and one of its connections: a broker may notice late that one is lost."""
     return json.dumps({"state": "offline", "reason": "connection lost", "run": run, "connection": connection})
 
 
@@ -184,19 +173,15 @@ def make_client(
     will: str = OFFLINE,
     direct: bool = False,
     will_retained: bool = True,
-) -> PlainClient:
-    """Return a client that is not connected yet: a fast one where the installed paho was tested with it.
+) -> FastClient:
+    """Return a client that is not connected yet.
 
     Args:
-        client_id: See `unique_id`.
-        will_topic: The broker publishes `will` there when the connection is lost.
-        will: Empty: the topic's retained message is taken away.
-        direct: Send from the thread that publishes, where the socket allows it (not with TLS); for a client served by `loop_start`.
+        will: What the broker publishes on `will_topic` when the connection is lost; empty: its retained message is taken away.
+        direct: Send from the thread that publishes, where there is no TLS; for a client served by `loop_start`.
     """
-    kind: type[PlainClient] = PlainClient
-    if is_tested():
-        kind = DirectClient if direct and not broker.encrypted else FastClient
-    client = kind(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=_PROTOCOLS[broker.protocol])
+    kind = DirectClient if direct and not broker.encrypted else FastClient
+    client = kind(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=MQTTProtocolVersion.MQTTv5)
     client.will_set(will_topic, will, qos=1, retain=will_retained)
     # the same on a TLS socket: it hands the option to the TCP socket below
     client.on_socket_open = _without_delay
@@ -212,12 +197,9 @@ def _without_delay(client: paho.Client, userdata: object, sock: Any) -> None:
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
 
-def subscriptions(client: paho.Client, topics: list[tuple[str, int]]) -> list[tuple[str, int | SubscribeOptions]]:
+def subscriptions(topics: Iterable[tuple[str, int]]) -> list[tuple[str, SubscribeOptions]]:
     """Return topics and their QoS in the form that `client.subscribe` takes, so that a retain flag stays visible.
 
     Without "retain as published" a broker shows the flag only on what it had stored, not on what is published while we listen.
-    MQTT 3.1.1 has no such option.
     """
-    if client.protocol != MQTTProtocolVersion.MQTTv5:
-        return list(topics)
     return [(topic, SubscribeOptions(qos=qos, retainAsPublished=True)) for topic, qos in topics]

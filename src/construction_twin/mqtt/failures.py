@@ -12,11 +12,11 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
 from construction_twin.mqtt.client import Broker
-from construction_twin.mqtt.plain_client import PlainClient
+from construction_twin.mqtt.fast_client import FastClient
 
 #: OpenSSL's numbers of what is wrong with a certificate (X509_V_ERR_...).
 _NOT_YET_VALID, _EXPIRED, _UNKNOWN_CA, _WRONG_NAME = 9, 10, (2, 18, 19, 20, 21), (62, 64)
-#: Reason codes of MQTT 5 that mean the account; paho translates those of 3.1.1 into them.
+#: Reason codes that mean the account.
 _ACCOUNT = (134, 135)
 #: The one that means the version of MQTT; paho makes it of return code 1 too, with which brokers of 3.1.1 refuse MQTT 5.
 _UNSUPPORTED_VERSION = 132
@@ -24,10 +24,6 @@ _UNSUPPORTED_VERSION = 132
 _TAKEN_OVER = 142
 #: What paho calls a connection that ended without a word of the broker.
 _CLOSED = 128
-#: What to do where MQTT 5 is refused.
-_OLDER = (
-    "start with protocol:=3.1.1 (rsi_gateway: --protocol 3.1.1, and its configuration exported again; docs/broker.md)"
-)
 
 
 def connection_failure(broker: Broker, error: OSError) -> str:
@@ -72,11 +68,10 @@ def _tls_failure(error: ssl.SSLError) -> str:
 
 
 class ConnectionReport:
-    """Says why there is no connection: each sentence once, until another one is due.
+    """Says why there is no connection, each sentence once, from the thread that connects or serves the client.
 
     Args:
-        say: Takes a sentence, e.g. a logger's `error`; called from the thread that connects or serves the client.
-        first: Whether to say why there has never been a connection; False: somebody else does, by `sentence`.
+        first: Whether to say why there has never been a connection.
 
     Attributes:
         sentence: Why there is no connection; empty while there is one, and before the first attempt has ended.
@@ -98,7 +93,7 @@ class ConnectionReport:
 
         client.on_connect_fail = failed
 
-    def connected(self, client: PlainClient, properties: Properties | None) -> None:
+    def connected(self, client: FastClient, properties: Properties | None) -> None:
         """Take note that the broker has accepted the connection, with the properties of its answer (CONNACK)."""
         self._welcomed = self._spoken = True
         self.sentence = ""
@@ -111,11 +106,9 @@ class ConnectionReport:
 
     def refused(self, reason_code: ReasonCode) -> None:
         """Report a connection that the broker refused in its answer (CONNACK)."""
-        where, account, protocol = self._where, self._broker.account, self._broker.protocol
-        if reason_code.value == _UNSUPPORTED_VERSION and protocol == "5":
-            self._report(f"{where} does not speak MQTT 5, only an older version: {_OLDER}")
-        elif reason_code.value == _UNSUPPORTED_VERSION:
-            self._report(f"{where} does not speak MQTT {protocol}: start with protocol:=5, or use another broker")
+        where, account = self._where, self._broker.account
+        if reason_code.value == _UNSUPPORTED_VERSION:
+            self._report(f"{where} does not speak MQTT 5: use one that does, as mosquitto (docs/broker.md)")
         elif reason_code.value not in _ACCOUNT:
             self._report(f"{where} refused the connection: {reason_code}")
         elif account is None or not account.user:
@@ -134,10 +127,9 @@ class ConnectionReport:
         certificate = " (if it never lasts: the broker may refuse the client certificate)"
         more = certificate if broker.account is not None and broker.account.cert_file else ""
         if not welcomed:
-            spoken = f"MQTT {broker.protocol} {'with' if broker.encrypted else 'without'} TLS"
             # so does RabbitMQ 3.10, which fails on a CONNECT of MQTT 5
-            older = f"; one without MQTT 5 may do so (RabbitMQ before 3.13): {_OLDER}" if broker.protocol == "5" else ""
-            self._report(f"{where} closed the connection without an answer: does the port speak {spoken}{older}{more}")
+            spoken = f"MQTT 5 {'with' if broker.encrypted else 'without'} TLS"
+            self._report(f"{where} closed the connection without an answer: does the port speak {spoken}?{more}")
             return
         if reason_code.value == _TAKEN_OVER:
             why = "taken away by a client with the same id, which an account there knows: see the broker's log (docs/broker.md)"
@@ -146,10 +138,9 @@ class ConnectionReport:
         self._report(f"connection to {where} {why}; trying again{more}")
 
     def watch_publish(self, client: paho.Client, topic: str, mid: int) -> None:
-        """Report when the broker's access rules refuse one message that was just published.
+        """Report when the access rules refuse one message that was just published; called in the thread that serves the client.
 
-        One only: a callback for every message would cost time with each command. MQTT 3.1.1 has no such answer. To be called from
-        the thread that serves the client, so that the answer cannot be here already.
+        One only: a callback for every message would cost time with each command.
         """
         account = self._broker.account
         who = account.user or account.cert_file if account else "somebody without an account"

@@ -1,32 +1,32 @@
 """A paho client that sends and reads joint strings by a shorter code path.
 
-Standard library and paho-mqtt only. What it saves per message: paho builds a table of all MQTT 5 properties for each
-message it sends or receives (25 and 50 us), reads a packet in three pieces, keeps a record with a lock of each that it
-sends, and hands what another thread publishes to its own thread.
-
-paho has no public place for this: it uses private parts, which another version may have changed. `is_tested` says whether the
-installed one is a version with which all of this was tested; with any other `client.make_client` takes the `PlainClient`.
+Per message paho builds a table of all MQTT 5 properties (25 and 50 us), reads a packet in three pieces, keeps a record with a lock
+of each that it sends, and hands what another thread publishes to its own. It has no public place for this: the private parts used
+here are those of the tested versions.
 """
 
 from __future__ import annotations
 
-import functools
-import logging
 import socket
 import struct
 import threading
 import time
+from collections.abc import Callable
 
 from paho.mqtt import __version__ as paho_version
 from paho.mqtt import client as paho
-from paho.mqtt.enums import MQTTErrorCode, MQTTProtocolVersion
+from paho.mqtt.enums import MQTTErrorCode
 
-from construction_twin.mqtt.plain_client import PlainClient, StreamCallback
-
-log = logging.getLogger("construction_twin.mqtt")
+from construction_twin.core.errors import ConfigurationError
 
 #: Versions of paho-mqtt with which the tests of this module have passed; setup/requirements.txt pins the last one.
 TESTED_VERSIONS = ("2.2.0",)
+#: What a stream's callback takes: payload, user properties, whether the message was retained.
+StreamCallback = Callable[[bytes, list[tuple[str, str]], bool], None]
+#: How paho begins the name of its thread; the client's id follows.
+_PAHO_THREAD = "paho-mqtt-client-"
+#: Most that a packet holds beside topic and payload, without properties [bytes].
+_AROUND = 10
 _USER_PROPERTY = 0x26
 _LENGTH = struct.Struct("!H")
 #: How much of what has come in is read before it is taken from the socket; a longer packet is left to paho [bytes].
@@ -36,7 +36,7 @@ _LOOP_TIMEOUT = 0.1
 
 
 class UserProperties:
-    """User properties as paho's `publish` takes them and as a received message has them, and no others."""
+    """User properties and no others, as paho's `publish` takes them and a received message has them."""
 
     __slots__ = ("UserProperty",)
 
@@ -68,9 +68,9 @@ def _variable_length(value: int) -> bytes:
 
 
 def read_plain(packet: bytes) -> tuple[bytes, UserProperties, bytes] | None:
-    """Return topic, properties and payload of an MQTT 5 PUBLISH of QoS 0, given all that follows the fixed header.
+    """Return topic, properties and payload of an MQTT 5 PUBLISH of QoS 0 behind its fixed header; None where paho must read it.
 
-    None when it has more than at most 127 bytes of user properties in printable ASCII: it is left to paho.
+    Read are at most 127 bytes of user properties in printable ASCII.
     """
     start = 2 + int.from_bytes(packet[:2], "big")
     if start >= len(packet) or packet[start] > 127 or start + 1 + packet[start] > len(packet):
@@ -98,10 +98,7 @@ def _text(packet: bytes, at: int, end: int) -> tuple[str | None, int]:
 
 
 def whole_publish(ahead: bytes) -> tuple[int, int] | None:
-    """Return where the topic begins and the packet ends of the PUBLISH with which what has come in begins.
-
-    None unless it is one of QoS 0, shorter than 16 kB, and all of it has come.
-    """
+    """Return where the topic begins and the packet ends of a PUBLISH of QoS 0 below 16 kB that has come whole, else None."""
     if len(ahead) < 3 or ahead[0] & 0xFE != paho.PUBLISH:
         return None
     start, length = 2, ahead[1]
@@ -112,43 +109,79 @@ def whole_publish(ahead: bytes) -> tuple[int, int] | None:
     return (start, start + length) if start + length <= len(ahead) else None
 
 
-@functools.cache
-def is_tested() -> bool:
-    """Return whether the installed paho is one whose private parts were tested; warns when it is not, once per process."""
-    tested = paho_version in TESTED_VERSIONS
-    if not tested:
-        log.warning(
-            "paho-mqtt %s was not tested with the fast client (tested: %s): up to 0.1 ms more per message; install a tested one",
-            paho_version,
-            ", ".join(TESTED_VERSIONS),
-        )
-    return tested
+def check_paho() -> None:
+    """Raise ConfigurationError where the installed paho was not tested: its private parts may be others."""
+    if paho_version not in TESTED_VERSIONS:
+        raise ConfigurationError("paho-mqtt", paho_version, f"version {' or '.join(TESTED_VERSIONS)}: install that one")
 
 
-class FastClient(PlainClient):
-    """Reads and sends joint strings without paho's general code, whatever else goes over the connection.
+def received_pairs(message: paho.MQTTMessage) -> list[tuple[str, str]]:
+    """Return a message's user properties."""
+    return list(getattr(message.properties, "UserProperty", ()))
 
-    test_fast_client compares what is read and what is sent with paho's own.
+
+class FastClient(paho.Client):
+    """A client with streams, topics of which many messages come or go per second. It sends nothing that is too large.
+
+    Attributes:
+        largest: Longest packet that the broker takes [bytes]; None: any.
+        on_too_large: Takes the sentence about a longer one, once per topic.
     """
+
+    largest: int | None = None
+    on_too_large: Callable[[str], object] | None = None
 
     def __init__(self, *arguments, **options):
         super().__init__(*arguments, **options)
+        self._too_large: set[str] = set()
         self._streams: dict[bytes, StreamCallback] = {}
         self._writing = threading.RLock()
 
+    def publish(self, topic, payload=None, qos=0, retain=False, properties=None) -> paho.MQTTMessageInfo:
+        """Publish as paho does; what is too large for the broker gets `MQTT_ERR_PAYLOAD_SIZE`."""
+        if self.largest is not None:
+            content = payload.encode() if isinstance(payload, str) else payload or b""
+            beside = len(properties.pack()) if properties else 0
+            if self._is_too_large(topic, len(topic.encode()) + len(content) + beside + _AROUND):
+                info = paho.MQTTMessageInfo(0)
+                info.rc = MQTTErrorCode.MQTT_ERR_PAYLOAD_SIZE
+                return info
+        return super().publish(topic, payload, qos, retain, properties)
+
+    def _is_too_large(self, topic: str, size: int) -> bool:
+        """Return whether a packet [bytes] is longer than what the broker takes, and say so the first time."""
+        if self.largest is None or size <= self.largest:
+            return False
+        if topic not in self._too_large and self.on_too_large is not None:
+            self._too_large.add(topic)
+            found = f"{size} bytes, and the broker takes {self.largest} (its max_packet_size)"
+            self.on_too_large(f"{topic} is not sent: {found}")
+        return True
+
+    def loop_start(self) -> MQTTErrorCode:
+        """Serve the connection in a thread of paho's."""
+        result = super().loop_start()
+        for thread in threading.enumerate():
+            # with paho's name a traceback would write the client's id into a log
+            if thread.name.startswith(_PAHO_THREAD):
+                thread.name = "mqtt"
+        return result
+
     def on_stream(self, topic: str, callback: StreamCallback) -> None:
-        """Call ``callback(payload, pairs, retained)`` for each message on `topic`; see `PlainClient`."""
+        """Call ``callback(payload, user properties, retained)`` for each message on `topic`, in the connection's thread."""
         self._streams[topic.encode()] = callback
-        super().on_stream(topic, callback)
+        # what is left to paho, as a message with other properties
+        self.message_callback_add(
+            topic,
+            lambda client, data, message: callback(bytes(message.payload), received_pairs(message), message.retain),
+        )
 
     def send_stream(self, topic: str, payload: bytes, pairs: list[tuple[str, str]] | None = None) -> None:
-        """Publish with QoS 0, from the caller's thread unless paho has one of its own for the connection.
-
-        What the socket does not take at once paho sends when it does. While there is no connection the message is dropped,
-        as by `publish`. MQTT 3.1.1 has no user properties.
-        """
-        packet = self._publish_packet(topic.encode(), payload, pairs)
-        if self.is_too_large(topic, len(packet)):
+        """Publish with QoS 0, from the caller's thread unless paho has one of its own; dropped without a connection."""
+        name = topic.encode()
+        body = _LENGTH.pack(len(name)) + name + (UserProperties(pairs).pack() if pairs else b"\0") + payload
+        packet = b"\x30" + _variable_length(len(body)) + body
+        if self._is_too_large(topic, len(packet)):
             return
         with self._writing:
             sock = self._sock
@@ -192,22 +225,11 @@ class FastClient(PlainClient):
         with self._writing:
             return super().loop_write()
 
-    def _publish_packet(self, topic: bytes, payload: bytes, pairs: list[tuple[str, str]] | None) -> bytes:
-        properties = b""
-        if self._protocol == MQTTProtocolVersion.MQTTv5:
-            properties = UserProperties(pairs).pack() if pairs else b"\0"
-        body = _LENGTH.pack(len(topic)) + topic + properties + payload
-        return b"\x30" + _variable_length(len(body)) + body
-
     def _packet_read(self) -> MQTTErrorCode:
         """Take the next packet in one piece where it is a joint string; otherwise nothing was taken, and paho reads it."""
         sock: object = self._sock
         # only a TCP socket shows bytes without taking them; a TLS socket does not
-        if (
-            type(sock) is not socket.socket
-            or self._protocol != MQTTProtocolVersion.MQTTv5
-            or self._in_packet["command"]
-        ):
+        if type(sock) is not socket.socket or self._in_packet["command"]:
             return super()._packet_read()
         try:
             ahead = sock.recv(_AHEAD, socket.MSG_PEEK)
@@ -229,9 +251,7 @@ class FastClient(PlainClient):
 
     def _handle_publish(self) -> MQTTErrorCode:
         header = self._in_packet["command"]
-        plain = None
-        if self._protocol == MQTTProtocolVersion.MQTTv5 and not header & 0x0E:
-            plain = read_plain(bytes(self._in_packet["packet"]))
+        plain = None if header & 0x0E else read_plain(bytes(self._in_packet["packet"]))
         if plain is None:
             return super()._handle_publish()
         self._deliver(plain, bool(header & 1))
@@ -250,10 +270,7 @@ class FastClient(PlainClient):
 
 
 class DirectClient(FastClient):
-    """Serves the connection in a thread, and sends from the thread that publishes instead of waking that one.
-
-    For sockets without TLS: Python's TLS sockets are not made for one thread that reads and another that writes.
-    """
+    """Serves the connection in a thread, and sends from the thread that publishes; without TLS, which needs one thread for both."""
 
     def __init__(self, *arguments, **options):
         super().__init__(*arguments, **options)

@@ -24,11 +24,9 @@ class JointStringCodec:
 
     Args:
         decimals: Of a degree, and of a mm, 1 to 6. The paper's are 3.
-        mapping: Sign and offset [rad], [m] per joint: the wire carries the controller's axis value ``sign * q + offset``. Without
-            it joint and axis values are the same, as they are on the KUKA, and always on the gateway's side.
-        axes: RSI name of each joint's axis, all different. Fields are in alphabetical order of these: A1 to A6, then E1. Default:
-            as the joints are.
-        linear: Which joints are linear: m inside, mm on the wire. Default: none.
+        mapping: Sign and offset [rad], [m] per joint: the wire carries the axis value ``sign * q + offset``. None: the same.
+        axes: Name of each joint's axis; fields are in their alphabetical order: A1 to A6, then E1. Default: as the joints are.
+        linear: Which joints are m inside and mm on the wire. Default: none.
 
     References:
         Liang et al., section 3.3 and Figure 6.
@@ -76,10 +74,7 @@ class JointStringCodec:
         return cls(len(config.axes), config.decimals, None, config.axes, linear)
 
     def encode(self, q: tuple[float, ...]) -> bytes:
-        """Return the joint string of a pose, shape (joints,) [rad], [m] where linear, in the robot's order.
-
-        Returns:
-            ASCII; zero is always ``+000.000``, rounding is half-even on the exact value.
+        """Return the joint string of a pose [rad], [m]: ASCII; zero is ``+000.000``, rounding is half-even on the exact value.
 
         Raises:
             PayloadError: ``count``, ``values`` (nan, inf) or ``range`` (1000 degrees, or 100 m, or more after rounding).
@@ -104,11 +99,7 @@ class JointStringCodec:
         return text.encode("ascii")
 
     def decode(self, payload: bytes) -> tuple[float, ...]:
-        """Return the pose that a joint string stands for, as `encode` takes it.
-
-        Raises:
-            PayloadError: ``decimals`` when the string is well formed with another number of decimals, ``length`` or ``format``.
-        """
+        """Return the pose of a joint string; PayloadError ``decimals``, ``length`` or ``format``."""
         match = self._pattern.fullmatch(payload) if len(payload) == self.length else None
         if match is None:
             raise self._why(payload)

@@ -31,7 +31,6 @@ VERBS = ("arm", "stop", "reset", "end", "speed_limit", "switch", "void")
 READY, OFFLINE = "ready", "offline"
 #: Who answers on `status`: rsi_gateway, in JSON, or a bare PLC, in those two words.
 RSI, PLC = "rsi", "plc"
-GATEWAY_KINDS = (RSI, PLC)
 #: Number of what gateway and bridge say to each other on `status` and `control`. It rises when one side must know something that
 #: the other one did not say before; both sides must have the same. What names none speaks the first.
 PROTOCOL, FIRST_PROTOCOL = 2, 1
@@ -172,7 +171,7 @@ def shown_keys(document: Mapping[str, object]) -> str:
 
 @dataclass(frozen=True)
 class Control:
-    """A message on `control`: who (session), which message (id: of a `speed_limit` a rising number), what (verb), and its value."""
+    """A message on `control`; the id of a `speed_limit` is a rising number."""
 
     id: str
     session: str
@@ -186,7 +185,7 @@ class Control:
 
 @dataclass(frozen=True)
 class ControlAnswer:
-    """A message on `control/ack`: what became of a control message, by its id, verb and session."""
+    """A message on `control/ack`."""
 
     id: str
     verb: str
@@ -246,10 +245,7 @@ def parse_control(payload: bytes) -> Control:
 
 
 def account_of(topic: str) -> str:
-    """Return the account in a topic whose last level it is, such as `stop/<account>`; PayloadError, ``sender``: there is none.
-
-    "" for ``ack``: answers have the form of such a topic, so who subscribes to ``stop/+`` hears them too.
-    """
+    """Return the account at the end of a topic such as `stop/<account>`, "" of an answer's ``ack``; PayloadError, ``sender``."""
     account = topic.rpartition("/")[2]
     if not _ACCOUNT.fullmatch(account):
         found = f"a message on {topic[-80:]!r}; expected an account at its end: up to 100 letters, digits, - and _"
@@ -273,11 +269,7 @@ def _without_duplicates(pairs: list[tuple[str, object]]) -> dict:
 def identity_of(
     payload: bytes, document: Mapping[str, object] | None = None, limit: int = MAX_IDENTITY_BYTES
 ) -> dict[str, str]:
-    """Return the short texts in a request by which its sender knows the answer, also where the request is refused.
-
-    Args:
-        document: What was read of the payload; None: what can be is read here, of at most `limit` bytes.
-    """
+    """Return the short texts in a request by which its sender knows the answer, also where the request is refused."""
     if document is None:
         try:
             document = parse_object(payload, "request", limit)
@@ -312,7 +304,7 @@ def parse_object(payload: bytes, reason: str, limit: int = MAX_CONTROL_BYTES) ->
 
 @dataclass(frozen=True)
 class Intervention:
-    """A person's stop, as the gateway reads it: `account` is the topic's last level, `id` the person's own."""
+    """A person's stop, as the gateway reads it."""
 
     account: str
     id: str
@@ -321,8 +313,7 @@ class Intervention:
 def parse_intervention(account: str, payload: bytes, retained: bool) -> Intervention:
     """Return what is asked for in a message on `stop/<account>`; PayloadError, ``retained`` or ``stop``.
 
-    It is a JSON object with `id`, a text of 1 to 64 characters in one line; a moment may stand in it, and is not read. The bridge's
-    side reads it by its model (`link.requests.Pressed`).
+    The bridge's side reads it by its model (`link.requests.Pressed`); a moment may stand in it.
     """
     demand_live(retained, STOP.name)
     document = parse_object(payload, STOP.name, STOP.limit)

@@ -1,8 +1,7 @@
-"""An MQTT connection served from the caller's select loop: no thread touches it while it works.
+"""An MQTT connection served from the caller's select loop: reading and writing never block, nor compete for the interpreter.
 
-The gateway answers RSI packets from the same thread, so reading and writing MQTT must never block and must not compete for the
-interpreter. Only connecting, which can block for seconds, happens in a short-lived thread, and until it has succeeded the
-loop leaves the client alone. Standard library and paho-mqtt only.
+The gateway answers RSI packets from the same thread. Only connecting, which can block for seconds, has a short-lived thread of its
+own, and until that has succeeded the loop leaves the client alone.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from construction_twin.mqtt.plain_client import PlainClient
+from construction_twin.mqtt.fast_client import FastClient
 
 #: Pause between attempts to connect [s].
 RETRY = 0.5
@@ -27,12 +26,12 @@ class PolledClient:
 
     Args:
         client: With `connect_async` called and callbacks set.
-        on_failure: Called with the OSError of every attempt to connect that fails, from the thread that connects.
+        on_failure: Takes the OSError of an attempt to connect, in the thread that connects.
     """
 
     def __init__(
         self,
-        client: PlainClient,
+        client: FastClient,
         selector: selectors.BaseSelector,
         on_failure: Callable[[OSError], None] = lambda error: None,
     ):
@@ -56,10 +55,7 @@ class PolledClient:
         return self.connected and self._decrypted()
 
     def read(self) -> None:
-        """Handle what has come in; call when the selector says that the socket is readable.
-
-        On TCP that is one packet. TLS decrypts whole records: packets that are decrypted already make no socket readable.
-        """
+        """Handle what has come in: of TCP one packet, of TLS whole records, which once decrypted make no socket readable."""
         self.client.loop_read(1)
         for _ in range(_MAX_PACKETS):
             if not self._decrypted():

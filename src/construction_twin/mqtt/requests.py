@@ -1,7 +1,6 @@
 """What people and programs may ask for by MQTT, each kind stated once: topics, right, answer, pace. Standard library only.
 
-The endpoints (`console/nodes/endpoint.py`), the topics' names (`messages.Topics`), a site's access rules (`broker/access.py`),
-all answers and all limits of how often are made from these.
+Endpoints, names of topics, a site's access rules, answers and limits of how often are made from these.
 """
 
 from __future__ import annotations
@@ -23,8 +22,6 @@ class Answer:
     """Every field of an answer, with what it holds while no more is known; a kind of request has some of them.
 
     Attributes:
-        id, kind, plan_id, plan_hash, verdict, task, message: The request's own, also of one that is refused; "" when they could
-            not be read.
         account, sender: Who asked, as the topic has it; "" in no name.
         by: Who carries it out.
         expired: The request was too old.
@@ -32,7 +29,6 @@ class Answer:
         duration: Of the plan [s].
         reach: ``free``, ``contact``, ``out`` or ``unknown``.
         joints: By name [rad, m].
-        between: What is in contact.
         limit: People's speed limit after the request, a fraction of the planned speed; 0: not known.
     """
 
@@ -68,18 +64,14 @@ class RequestKind:
     """A kind of request.
 
     Attributes:
-        right: What an account needs to publish it, of `broker.access.RIGHTS`; "stop": any but `look`; "": no account of a site may.
-        limit: Longest message that is read [bytes].
-        limited_by: Parameter that says it in place of `limit`; "": none does.
+        right: What an account needs, of `broker.access.RIGHTS`; "stop": any but `look`; "": no account of a site may.
+        limit: Longest message that is read [bytes], unless the parameter `limited_by` says it.
         topic, ack: Where it comes in and is answered, below ``<prefix>/<robot>/``; ``{}`` is the account.
         answer: Which fields of `Answer` it has, in their order.
-        qos: Of request and answer.
         pace: How often one account may ask; None: as often as it likes. Kinds of one pace that wait in one queue have it together.
-            What comes too often is told when to try again; of QoS 0, where a newer one follows anyway, it is not even read.
-        starts: It starts motion or makes it faster, and repeats the moment that its screen had received; what is pressed is
-            carried out once then, any other may be carried out twice.
+        starts: It starts motion or makes it faster, and repeats the moment that its screen had received.
         by: Who carries out what is pressed; a stop the gateway too.
-        expires: It is void where the moment that it repeats is too old when its turn comes; of others who carries it out says that.
+        expires: It is void where its moment is too old when its turn comes; of others who carries it out says that.
     """
 
     name: str

@@ -29,7 +29,7 @@ from construction_twin.core.freshness import parse_moment
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.extensions.console.nodes import feed as module
 from construction_twin.extensions.console.nodes.endpoint import Connection
-from construction_twin.extensions.console.nodes.feed import ConsoleFeed, Others, Poses, deployment_of
+from construction_twin.extensions.console.nodes.feed import ARM, EXPECTED, TWIN, ConsoleFeed, deployment_of
 from construction_twin.extensions.console.private_files import PrivateFiles
 from construction_twin.extensions.console.remote_view import ClosestView, ViewWriter
 from construction_twin.link.requests import Joints
@@ -91,12 +91,13 @@ def feed(
     broker: Client,
     files: PrivateFiles | None = None,
     started: dict | None = STARTED,
-    poses: Poses = Poses(None, None),
-    others: Others = Others(),
+    poses: dict | None = None,
+    **others,
 ) -> ConsoleFeed:
     connection = Connection(Broker("127.0.0.1", 1), broker, TOPICS, broker.refuse)
     writer = ViewWriter("kr120", "cafe", JOINTS)
-    return ConsoleFeed("base_link", connection, writer, poses, others, deployment_of(started, "/kr120"), files)
+    others |= {"deployment": deployment_of(started, "/kr120"), "files": files}
+    return ConsoleFeed("base_link", connection, writer, poses or {}, **others)
 
 
 def scene(folder) -> Scene:
@@ -192,7 +193,7 @@ def test_the_status_line_is_sent_on_change_and_once_a_second(broker, clock):
 
 
 def test_why_the_arm_holds_comes_first_and_a_plan_that_could_not_be_approved_waits(broker, clock):
-    made = feed(broker, others=Others(plan=lambda: "p1"))
+    made = feed(broker, plan=lambda: "p1")
     made.on_hold(Hold(cause="last comparable feedback is 0.300 s old", since=rospy.Time(5)))
     waits = Execution(text="IDLE", approval_obstacle="not in sync")
     held = told(made, broker, sync=Sync(text="STALE", reason="silence"), execution=waits)
@@ -275,7 +276,9 @@ class Stream:
 def test_the_view_shows_what_is_known(broker, clock):
     stamp = round((clock.wall - 0.01) * NANOSECONDS)
     poses = (((0.5, 1.5), 999.99), ((0.4, 1.4), 999.98), ((0.401, 1.399), 999.97))
-    made = feed(broker, poses=Poses(*(Stream(StampedPose(pose, stamp, at)) for pose, at in poses)))
+    made = feed(
+        broker, poses=dict(zip((TWIN, ARM, EXPECTED), (Stream(StampedPose(pose, stamp, at)) for pose, at in poses)))
+    )
     reports(made, clock)
     clock.steady += 0.04
     clock.wall += 2.5
@@ -290,7 +293,7 @@ def test_the_view_shows_what_is_known(broker, clock):
 
 def test_what_is_old_is_shown_as_not_known(broker, clock):
     there = [True]
-    made = feed(broker, poses=Poses(Stream(), Stream(), Stream()), others=Others(executor_is_there=lambda: there[0]))
+    made = feed(broker, poses={TWIN: Stream(), ARM: Stream(), EXPECTED: Stream()}, executor_is_there=lambda: there[0])
 
     def view() -> dict:
         return json.loads(made.publish_view())
@@ -308,7 +311,7 @@ def test_what_is_old_is_shown_as_not_known(broker, clock):
 
 def test_the_view_has_what_only_a_console_shows(broker, clock):
     closest = ClosestView(0.5, ("link_3", "wall"), (1.0, 2.0, 3.0), 0.25)
-    made = feed(broker, others=Others(lambda: "p7", lambda: closest))
+    made = feed(broker, plan=lambda: "p7", closest=lambda: closest)
 
     def view() -> dict:
         return json.loads(made.publish_view())

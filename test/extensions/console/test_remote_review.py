@@ -13,8 +13,6 @@ import numpy as np
 import pytest
 from construction_twin.msg import Plan
 from geometry_msgs.msg import Point
-from hypothesis import given
-from hypothesis import strategies as st
 from plan_samples import make_plan
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -23,7 +21,6 @@ from construction_twin.extensions.console.remote_review import (
     MAX_TRAJECTORY_NUMBERS,
     PlanBoard,
     shown,
-    thinned,
 )
 from construction_twin.robot.motion_errors import TrajectoryError
 from construction_twin.robot.plan import content_hash
@@ -149,32 +146,6 @@ def test_the_longest_plan_stays_far_below_the_broker_s_limit():
 
 def test_a_text_is_cut_only_when_it_is_long():
     assert shown("x" * 200) == "x" * 200 and shown("x" * 201) == "x" * 197 + "..."
-
-
-coordinates = st.floats(-10.0, 10.0)
-paths = st.lists(st.tuples(coordinates, coordinates, coordinates), max_size=60)
-
-
-@given(paths, st.integers(2, 20))
-def test_a_thinned_path_keeps_its_ends_and_its_order(path, points):
-    kept, deviation, _ = thinned(path, points)
-    assert len(kept) == min(len(path), points)
-    if path:
-        assert (kept[0], kept[-1]) == (path[0], path[-1])
-    rest = iter(path)
-    assert all(point in rest for point in kept)
-    assert deviation >= 0.0 and (len(path) > points or deviation == 0.0)
-
-
-@pytest.mark.parametrize("points, deviation", [(2, 0.5), (3, 0.0), (5, 0.0)])
-def test_what_thinning_loses_is_said(points, deviation):
-    corner = [(0.0, 0.0, 0.0), (0.25, 0.25, 0.0), (0.5, 0.5, 0.0), (0.75, 0.25, 0.0), (1.0, 0.0, 0.0)]
-    assert thinned(corner, points)[1] == pytest.approx(deviation, abs=1e-12)
-
-
-def test_a_path_that_returns_to_its_start_is_measured_too():
-    there_and_back = [(0.0, 0.0, 0.0), (0.3, 0.4, 0.0), (0.0, 0.0, 0.0)]
-    assert thinned(there_and_back, 2)[1] == pytest.approx(0.5)
 
 
 # -- board

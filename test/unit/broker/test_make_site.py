@@ -425,14 +425,15 @@ def test_a_file_that_is_no_account_is_refused(tmp_path, text):
 
 
 def test_files_that_are_missing_or_not_what_they_should_be_are_named(tmp_path):
-    account = load_account(account_file(tmp_path, user="x", password_file="pw", ca_file="ca.crt"))
+    path = account_file(tmp_path, user="x", password_file="pw", ca_file="ca.crt")
     with pytest.raises(ConfigurationError, match="/pw: "):
-        account.password()
+        load_account(path)
+    certificates.write_private(tmp_path / "pw", "secret\n")
     with pytest.raises(ConfigurationError, match=r"/ca\.crt: "):
-        account.context()
+        load_account(path)
     (tmp_path / "ca.crt").write_text("no certificate")
     with pytest.raises(ConfigurationError, match=r"/ca\.crt.*PEM certificates of the broker's CA"):
-        account.context()
+        load_account(path)
 
 
 @pytest.mark.parametrize("mode", [0o640, 0o604])

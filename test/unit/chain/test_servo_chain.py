@@ -23,7 +23,7 @@ from servo_chain import (
 )
 
 from construction_twin.mock.faults import Fault
-from construction_twin.monitor.states import SyncEvent, SyncState
+from construction_twin.monitor.states import SyncState
 from construction_twin.mqtt.messages import Control
 
 JOINTS = range(len(ROBOT.joint_names))
@@ -51,31 +51,29 @@ def test_without_a_model_the_gate_does_what_it_did():
     assert samples is None and reason == ""
 
 
-@pytest.mark.parametrize(
-    "fault", [Fault("drift", "A2", (0.02,)), Fault("backlash", "A2", (0.045,)), Fault("slow", "A2", (0.4,))], ids=str
-)
-def test_a_drift_a_backlash_and_a_slow_joint_are_found_and_not_learned(fault):
-    chain = servo_chain()
+FAULTS = [
+    Fault("drift", "A2", (0.02,)),
+    Fault("backlash", "A2", (0.045,)),
+    Fault("slow", "A2", (0.4,)),
+    "heavy payload",
+]
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=str)
+def test_what_is_wrong_with_a_joint_is_found_and_not_learned(fault):
+    servo = LadenServo()
+    chain = servo_chain(arm=servo)
     work = Work(chain, 5)
-    work.run(20.0)
+    work.run(8.0)
     assert not work.holds
-    chain.faults.inject(fault)
+    # such a payload makes the servos much softer
+    servo.carry(0.4) if fault == "heavy payload" else chain.faults.inject(fault)
     work.run(60.0)
     assert work.holds
     assert max(map(abs, chain.gate.watch_of_servos.refinement.later)) <= 0.002
 
 
-def test_a_payload_that_makes_the_servos_much_softer_is_found():
-    servo = LadenServo()
-    chain = servo_chain(arm=servo)
-    work = Work(chain, 7)
-    work.run(20.0)
-    servo.carry(0.4)
-    work.run(60.0)
-    assert work.holds and max(map(abs, chain.gate.watch_of_servos.refinement.later)) <= 0.002
-
-
-def test_a_payload_within_the_rating_holds_nothing_and_is_refined():
+def test_a_payload_within_the_rating_closes_nothing_and_is_refined():
     servo = LadenServo()
     chain = servo_chain(arm=servo)
     work = Work(chain, 8)
@@ -83,13 +81,13 @@ def test_a_payload_within_the_rating_holds_nothing_and_is_refined():
     work.run(15.0)
     before = work.largest
     changes = []
-    work.run(90.0, lambda number: changes.append(chain.gate.watch_of_servos.refinement.later))
+    work.run(45.0, lambda number: changes.append(chain.gate.watch_of_servos.refinement.later))
     assert not work.holds
     later = np.array(chain.gate.watch_of_servos.refinement.later)
     # 3 % of 60 rad/s are 0.8 ms
     assert later == pytest.approx(np.full(6, 2 * 0.8 / 60.0 * (1 / 0.97 - 1)), abs=2.5e-4)
     work.forget()
-    work.run(15.0)
+    work.run(8.0)
     assert (work.largest < 0.6 * before).all()
     assert (np.abs(np.diff(np.array(changes), axis=0)) <= 0.0005 + 1e-12).all()
 
@@ -128,21 +126,12 @@ def test_a_collision_that_the_drives_cannot_hold_against_is_found():
     assert "A3 " in chain.transitions[-1].reason
 
 
-def test_an_arm_of_another_class_is_held_to_the_threshold_by_what_was_identified():
+def test_an_arm_of_another_class_keeps_to_the_threshold_by_what_was_identified():
     chain = servo_chain(arm=servo_of(ForeignPlant(60.0, 0.05)))
     for goal in itertools.islice(poses(4), 5):
         play_to_the_end(chain, make_plan(chain, goal))
     model = model_of(identified(chain))
     plant = ForeignPlant(120.0, 0.05)
     work = Work(servo_chain(model, arm=servo_of(plant)), 9)
-    work.run(30.0, lambda number: setattr(plant, "laden", number % 2 == 0))
+    work.run(15.0, lambda number: setattr(plant, "laden", number % 2 == 0))
     assert not work.holds and 1e-5 < work.largest.max() < 0.01
-
-
-def test_refinement_is_told_as_a_transition():
-    chain = servo_chain(NOMINAL.slower((0.001,) * 6))
-    work = Work(chain, 10)
-    work.run(60.0)
-    told = [change for change in work.changes if change.event is SyncEvent.SERVOS_REFINED]
-    assert told and all(change.source is change.target is SyncState.IN_SYNC for change in told)
-    assert "joint_a1" in " ".join(str(change.reason) for change in told)

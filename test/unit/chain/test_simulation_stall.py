@@ -14,7 +14,6 @@ from simulation import SimulatedChain, SimulatedLink
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS, radians
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.gateway.states import State
-from construction_twin.link.observations import LinkState
 from construction_twin.mock.faults import Fault
 from construction_twin.monitor.settings import GateSettings
 from construction_twin.monitor.states import SyncEvent, SyncState, Transition
@@ -171,15 +170,6 @@ class TestResume:
         states = [change.target for change in chain.transitions][1:]
         assert states == [SyncState.IN_SYNC, SyncState.HOLDING, SyncState.IN_SYNC]
 
-    def test_it_waits_until_the_poses_have_agreed_for_the_set_time(self):
-        run = stalled(gate=GateSettings(policy="resume", agree_time=0.5))
-        chain, settings = run.chain, run.chain.gate.settings
-        chain.faults.end(STALL)
-        assert chain.run_until(lambda: chain.gate.state is SyncState.IN_SYNC, 5.0)
-        received, errors = aligned_errors(run)
-        apart = received[errors > settings.agree_share * settings.threshold][-1]
-        assert chain.transitions[-1].at - apart >= 0.5 * NANOSECONDS
-
 
 class TestReplan:
     def test_asks_for_a_new_plan_which_waits_for_a_person(self):
@@ -205,45 +195,6 @@ class TestReplan:
         chain.run_for(0.5)
         assert np.abs(np.array(chain.controller.measured) - GOAL).max() <= 1e-5
         assert_corrections_inside_limits(chain)
-
-
-class TestStopping:
-    def stops(self, chain: SimulatedChain, event: SyncEvent) -> None:
-        """It is STOPPED for that reason, stays so although the arm is well again, and `reset` leads out."""
-        assert chain.transitions[-1].event is event
-        chain.faults.end(STALL)
-        chain.run_for(3.0)
-        assert chain.gate.state is SyncState.STOPPED and "call reset" in chain.gate.reason
-        assert chain.executor.state is ExecutorState.IDLE
-        chain.supervisor.request_reset(chain.now)
-        assert chain.run_until(lambda: chain.ready and chain.gate.state is SyncState.IN_SYNC, 5.0)
-        assert chain.supervisor.state is LinkState.ARMED
-
-    def test_policy_stop(self):
-        run = stalled(gate=GateSettings(policy="stop"))
-        self.stops(run.chain, SyncEvent.POLICY_STOP)
-
-    @pytest.mark.parametrize("policy", ["resume", "replan"])
-    def test_gives_up_after_the_set_time(self, policy):
-        run = stalled(gate=GateSettings(policy=policy, give_up_time=2.0))
-        chain = run.chain
-        assert chain.run_until(lambda: chain.gate.state is SyncState.STOPPED, 2.1)
-        assert chain.now - run.closed.at == pytest.approx(2.0 * NANOSECONDS, abs=2 * CYCLE_NS)
-        assert "A3 differs by" in chain.gate.reason
-        self.stops(chain, SyncEvent.GAVE_UP)
-
-    def test_repeated_violations_escalate(self):
-        run = stalled(gate=GateSettings(policy="resume", escalate_count=3))
-        chain = run.chain
-        for count in (2, 3):
-            chain.faults.end(STALL)
-            assert chain.run_until(lambda: chain.gate.state is SyncState.IN_SYNC, 5.0)
-            assert chain.run_until(lambda: chain.executor.rate > 0.9, 5.0)
-            chain.faults.inject(STALL)
-            assert chain.run_until(lambda: chain.gate.state is not SyncState.IN_SYNC, 1.0)
-            assert chain.gate.violations == count
-        assert chain.gate.state is SyncState.STOPPED and "held 3 times in 30 s" in chain.gate.reason
-        self.stops(chain, SyncEvent.ESCALATED)
 
 
 @pytest.mark.parametrize("servo", ["ideal", "realistic"])

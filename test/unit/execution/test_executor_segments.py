@@ -229,17 +229,7 @@ class TestBoundary:
         bench.run_into(2)
         assert not work.wants_scene
 
-    def test_a_scene_of_a_node_that_is_gone_does_not_count(self, bench):
-        bench.approve(make_work_plan())
-        bench.run_to_end_of(0)
-        bench.executor.under_review.scene_alive = False
-        bench.run(100)
-        assert bench.state is ExecutorState.AT_BOUNDARY
-        bench.executor.under_review.scene_alive = True
-        bench.run_into(1)
-
     def test_the_next_segment_needs_what_it_requires(self, bench):
-        plan = make_work_plan(segment_1={"switches": (), "scene_after": SCENE}, segment_2={"scene": SCENE})
         plan = make_work_plan(
             segment_1={"switches": (), "scene_after": SCENE},
             segment_2={"scene": SCENE, "scene_after": SCENE},
@@ -562,7 +552,7 @@ class TestBeforeTheFirstSegment:
         bench.run_into(0)
         assert bench.executor.outcome == ""
 
-    def test_later_boundaries_wait_as_long_as_before(self, bench):
+    def test_later_boundaries_wait_for_a_scene_of_a_node_that_is_there_as_long_as_before(self, bench):
         bench.approve(make_work_plan())
         bench.run_to_end_of(0)
         bench.executor.under_review.scene_alive = False

@@ -7,8 +7,8 @@ import subprocess
 import sys
 
 import pytest
-from processes import ROOT, wait_until
-from service_cell import AXES, CONFIG, client_of, controller_of, free_port, serving
+from processes import ROOT, free_port, wait_until
+from service_cell import AXES, CONFIG, client_of, controller_of, serving
 
 from construction_twin.rsi.controller_codec import SensorDecoder
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml

@@ -13,7 +13,6 @@ import threading
 import time
 
 import pytest
-from paho.mqtt.enums import MQTTProtocolVersion
 from processes import wait_until
 from service_cell import (
     CODEC,
@@ -31,10 +30,10 @@ from service_cell import (
 )
 
 from construction_twin.gateway.states import State
-from construction_twin.link.gateway_status import parse_status
+from construction_twin.link.gateway_status import parse_answer, parse_status
 from construction_twin.link.supervisor import LinkSupervisor
+from construction_twin.mqtt.fast_client import received_pairs
 from construction_twin.mqtt.messages import Control, arm_value, read_state_properties
-from construction_twin.mqtt.plain_client import received_pairs
 
 pytestmark = pytest.mark.realtime
 
@@ -149,7 +148,7 @@ def test_a_connection_that_is_silent_for_a_second_while_the_arm_rests_is_followe
     readers = {
         topics.state: lambda payload, now: supervisor.inputs.on_pose(CODEC.decode(payload), now),
         topics.status: lambda payload, now: supervisor.inputs.on_status(parse_status(payload), now),
-        topics.control_ack: lambda payload, now: supervisor.on_answer(parse_status(payload), now),
+        topics.control_ack: lambda payload, now: supervisor.on_answer(parse_answer(payload), now),
     }
     with serving(proxy.port, topics) as (service, address), controller_of(address) as controller:
         with client_of(broker, topics) as client:
@@ -196,10 +195,10 @@ def test_a_broker_that_ends_together_with_the_gateway_is_no_error(broker_process
     assert [record.message for record in caplog.records if record.levelno >= logging.WARNING] == []
 
 
-def test_with_mqtt_3_1_1_the_string_alone_moves_the_arm(broker, topics):
+def test_the_string_alone_moves_the_arm(broker, topics):
     config = dataclasses.replace(PATIENT, properties=False)
-    with serving(broker, topics, config, protocol="3.1.1") as (service, address), controller_of(address) as controller:
-        with client_of(broker, topics, protocol=MQTTProtocolVersion.MQTTv311) as client:
+    with serving(broker, topics, config) as (service, address), controller_of(address) as controller:
+        with client_of(broker, topics) as client:
             controller.start()
             client.wait_for_status(state="ready", properties=False)
             assert client.arm(config)["ok"]
@@ -211,4 +210,5 @@ def test_with_mqtt_3_1_1_the_string_alone_moves_the_arm(broker, topics):
             wait_until(
                 lambda: controller.measured == pytest.approx(end, abs=math.radians(1e-6)), what="the end of the motion"
             )
+            assert received_pairs(client.on(topics.state)[-1]) == []
             assert CODEC.decode(client.on(topics.state)[-1].payload)

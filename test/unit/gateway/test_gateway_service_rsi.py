@@ -8,12 +8,11 @@ import threading
 
 import pytest
 from mock_cell import SWING, gateway_config, mock_at, swing
-from processes import wait_until
+from processes import free_port, wait_until
 from service_cell import (
     START,
     client_of,
     controller_of,
-    free_port,
     serving,
     stream,
 )

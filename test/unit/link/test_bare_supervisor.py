@@ -8,6 +8,7 @@ from supervisor_bench import POSE, TOLERANCE, BareBench, moved
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.link.bare_supervisor import ARM_COMMAND, NOT_CHECKED
+from construction_twin.link.gateway_status import GatewayStatus
 from construction_twin.link.observations import FRESH, REST, LinkState
 
 
@@ -171,7 +172,7 @@ class TestEnds:
         self.end(armed, LinkState.NEEDS_RESET)
 
     def test_a_gateway_answers_in_its_place(self, armed):
-        armed.supervisor.inputs.on_status({"state": "ready", "kind": "rsi"}, armed.now)
+        armed.supervisor.inputs.on_status(GatewayStatus(state="ready"), armed.now)
         armed.word = None
         self.end(armed, LinkState.MISMATCH)
         assert "gateway_kind:=rsi" in armed.supervisor.reason

@@ -10,7 +10,7 @@ from tool_cell import ToolCell
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.sentences import Sentence, told
-from construction_twin.link.gateway_status import controller_sentence, parse_presence, parse_status, status_values
+from construction_twin.link.gateway_status import GatewayStatus, parse_answer, parse_status
 
 TOOL = {
     "name": "frame", "known": True, "reason": "", "outputs": {"vacuum": False}, "inputs": {"reached": True},
@@ -22,14 +22,14 @@ STATUS = {
 }  # fmt: skip
 
 
-def parsed(status: dict) -> dict:
+def parsed(status: dict) -> GatewayStatus:
     return parse_status(json.dumps(status).encode())
 
 
 def test_it_shows_what_a_real_gateway_says():
     cell = following()
     cell.arm("other")
-    values = status_values(parsed(cell.gateway.status()))
+    values = parsed(cell.gateway.status()).shown()
     assert values["playout_delay_ms"] == "20" and values["playout_lead_ms"] == "16"
     assert values["playout_drift_ppm"] == "" and values["playout_rate_percent"] == "0"
     assert (values["intruder_session"], values["intruder_count"]) == ("other", "1")
@@ -37,13 +37,15 @@ def test_it_shows_what_a_real_gateway_says():
     assert values["last_ipoc_jump_ms"] == "0"
     cell = ToolCell().follow()
     assert cell.ask(True, id="grip")[0]
-    assert parsed(cell.gateway.status()) == json.loads(json.dumps(cell.gateway.status()))
+    read_, sent = parsed(cell.gateway.status()), cell.gateway.status()
+    assert read_.tool.outputs == sent["tool"]["outputs"] and [each.id for each in read_.tool.switches] == ["grip"]
 
 
 def test_status_and_answer_are_read_and_an_older_gateway_s_says_nothing():
-    assert parsed(STATUS) == STATUS
-    assert parsed({"id": "1", "ok": True}) == {"id": "1", "ok": True}
-    assert status_values(parsed({"state": "ready"})) == {}
+    assert STATUS.items() <= parsed(STATUS).model_dump(exclude_unset=True).items()
+    answer = parse_answer(b'{"id": "1", "ok": true}')
+    assert (answer.id, answer.ok, answer.reason) == ("1", True, "")
+    assert parsed({"state": "ready"}).shown() == {}
 
 
 @pytest.mark.parametrize(
@@ -76,7 +78,7 @@ def test_what_is_not_in_the_interface_is_refused(change):
     assert caught.value.reason == "status"
 
 
-@pytest.mark.parametrize("payload", [b"", b"offline", b"[1]", b"{" * 10_000, b" " * ((1 << 20) + 1)])
+@pytest.mark.parametrize("payload", [b"", b"[1]", b"{" * 10_000, b" " * ((1 << 20) + 1)])
 def test_a_status_that_is_no_json_object_is_refused(payload):
     with pytest.raises(PayloadError) as caught:
         parse_status(payload)
@@ -84,22 +86,21 @@ def test_a_status_that_is_no_json_object_is_refused(payload):
 
 
 def test_long_texts_are_cut():
-    assert len(status_values({"last_refusal": "x" * 10_000})["last_refusal"]) == 300
+    assert len(parsed({"last_refusal": "x" * 10_000}).shown()["last_refusal"]) == 300
 
 
 def test_what_it_says_can_be_said_in_another_language():
     said = {"gateway is braking": {"template": "gateway is {state}", "values": {"state": "braking"}}}
-    read = parsed(
+    found = parsed(
         STATUS
         | {"reason": "gateway is braking", "controller": {"sentence": "gateway is braking"}, "said": said}
         | {"tool": TOOL | {"switches": [{"id": "a", "state": "armed", "reason": "gateway is braking"}]}}
     )
-    for text in (read["reason"], controller_sentence(read), read["tool"]["switches"][0]["reason"]):
+    for text in (found.reason, found.sentence_of("controller"), found.tool.switches[0].reason):
         assert isinstance(text, Sentence) and (text.template, text.values) == (
             "gateway is {state}",
             {"state": "braking"},
         )
-    assert "said" not in read
 
 
 @pytest.mark.parametrize(
@@ -122,24 +123,25 @@ def test_what_it_says_can_be_said_in_another_language():
 )  # fmt: skip
 def test_a_text_that_its_template_does_not_make_is_a_text_alone(said):
     for reason in ("the text", "a" * 199):
-        read = parsed(STATUS | {"reason": reason, "said": said})
-        assert read == STATUS | {"reason": reason} and type(read["reason"]) is str and told(read) == {}
+        found = parsed(STATUS | {"reason": reason, "said": said})
+        assert found.reason == reason and type(found.reason) is str
 
 
 def test_sentences_in_each_other_and_lists_in_lists_are_read_without_end():
     said = {"a" * k: {"template": "a{x}", "values": {"x": "a" * (k - 1)}} for k in range(2, 250)}
     deep = json.loads("[" * 700 + "]" * 700)
-    read = parsed({"state": "ready", "reason": "a" * 249, "said": said, "other": deep})
-    assert read["reason"] == "a" * 249 and len(told(read)) <= 20
-    assert len(parsed({"reason": "x" * 100_000})["reason"]) == 2000
+    found = parsed({"state": "ready", "reason": "a" * 249, "said": said, "other": deep})
+    assert found.reason == "a" * 249 and len(told(found.reason)) <= 20
+    assert len(parsed({"reason": "x" * 100_000}).reason) == 2000
 
 
 def test_a_bare_plc_s_words_are_told_from_a_gateway_s_status():
-    assert parse_presence(b"ready") == {"state": "ready", "kind": "plc"}
-    assert parse_presence(b"offline") == {"state": "offline", "kind": "plc"}
+    for word in ("ready", "offline"):
+        found = parse_status(word.encode())
+        assert (found.state, found.kind) == (word, "plc")
     # what a gateway's JSON says of its kind does not count
-    assert parse_presence(b'{"state": "ready", "kind": "plc"}') == {"state": "ready", "kind": "rsi"}
+    assert parse_status(b'{"state": "ready", "kind": "plc"}').kind == "rsi"
     for other in (b"Ready", b"ready ", b"ready\n", b"READY", b"armed", b"", b'"ready"'):
         with pytest.raises(PayloadError) as refused:
-            parse_presence(other)
+            parse_status(other)
         assert refused.value.reason == "status"

@@ -8,6 +8,7 @@ from supervisor_bench import Bench
 
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.gateway import State
+from construction_twin.link.gateway_status import GatewayAnswer, GatewayStatus, read
 from construction_twin.link.observations import LinkState
 
 #: How long a stop is watched that must not be taken back [s].
@@ -85,7 +86,7 @@ class TestEveryMoment:
         bench = begun("stopped")
         STOPS[route](bench)
         bench.run(early / 1000)
-        shown = bench.supervisor.inputs.status["fault_number"] == bench.gateway.fault_number
+        shown = bench.supervisor.inputs.status.fault_number == bench.gateway.fault_number
         assert shown == (early * MS >= bench.down) or early in (16, 20)
         bench.reset()
         if shown:
@@ -153,12 +154,12 @@ class TestNumbers:
 
     def test_an_old_status_that_is_sent_again_shows_nothing_old(self):
         bench = begun("armed")
-        old = bench.gateway.status()
+        old = read(GatewayStatus, bench.gateway.status())
         bench.stop_by_account()
         bench.run(1.0)
         assert bench.supervisor.inputs.on_status(old, bench.now).startswith("an old status, of stop 0 after stop 1")
         bench.supervisor.poll(bench.now)
-        assert bench.link is LinkState.NEEDS_RESET and bench.supervisor.inputs.status["fault"]
+        assert bench.link is LinkState.NEEDS_RESET and bench.supervisor.inputs.status.fault
 
 
 class TestRestart:
@@ -201,7 +202,7 @@ class TestRestart:
         assert scripted.state is LinkState.NEEDS_RESET
         scripted.gateway |= {"state": "ready", "reason": "", "fault": False, "fault_number": 0, "run": "run2"}
         scripted.supervisor.inputs.on_status(
-            {"state": "offline", "reason": "connection lost", "run": "run1"}, scripted.now
+            GatewayStatus(state="offline", reason="connection lost", run="run1"), scripted.now
         )
         scripted.run(5.0)
         assert scripted.state is LinkState.NEEDS_RESET and "KeyError in poll" in scripted.supervisor.reason
@@ -346,9 +347,7 @@ class TestWithdrawal:
         bench.reset()
         bench.run(0.7)
         bench.loses = lambda control: False
-        bench.supervisor.on_answer(
-            {"id": bench.sent[-1].id, "ok": False, "reason": "the arm is still moving"}, bench.now
-        )
+        bench.supervisor.on_answer(GatewayAnswer(id=bench.sent[-1].id, reason="the arm is still moving"), bench.now)
         bench.supervisor.withdraw(bench.supervisor.requests, "not armed within 5 s: RESYNC")
         bench.run(2.0)
         assert bench.gateway.status()["stop"]["by"] == "anna" and bench.gateway.fault_number == 1
@@ -489,7 +488,8 @@ class TestTwoGateways:
         """Let another gateway tell its status once a second; return every sentence of the link, each once."""
         told = []
         for _ in range(round(seconds / period)):
-            bench.supervisor.inputs.on_status(bench.gateway.status() | {"run": run} | other, bench.now)
+            status = read(GatewayStatus, bench.gateway.status() | {"run": run} | other)
+            bench.supervisor.inputs.on_status(status, bench.now)
             for _ in range(round(period * 250)):
                 bench.step()
                 told += [bench.supervisor.reason] if bench.supervisor.reason not in told else []
@@ -516,7 +516,8 @@ class TestTwoGateways:
         self.speak(bench, 5.0)
         assert len(bench.sent) == sent and bench.link is LinkState.MISMATCH
         # one says farewell
-        bench.supervisor.inputs.on_status({"state": "offline", "reason": "gateway stopped", "run": "other"}, bench.now)
+        farewell = GatewayStatus(state="offline", reason="gateway stopped", run="other")
+        bench.supervisor.inputs.on_status(farewell, bench.now)
         bench.run(0.1)
         assert bench.link is LinkState.NEEDS_RESET
         assert_a_reset_arms(bench)
@@ -530,17 +531,18 @@ class TestTwoGateways:
     def test_more_than_two_are_named_too_and_a_flood_of_them_costs_nothing(self):
         bench = begun("armed")
         for number in range(1000):
-            bench.supervisor.inputs.on_status(bench.gateway.status() | {"run": f"r{number}"}, bench.now)
+            status = read(GatewayStatus, bench.gateway.status() | {"run": f"r{number}"})
+            bench.supervisor.inputs.on_status(status, bench.now)
         bench.run(0.1)
         assert "run r0 and run r1 and run r2 and run run1" in bench.supervisor.reason
         bench.run(4.0)
         assert bench.link is LinkState.ARMED
 
-    @pytest.mark.parametrize("will", [{"run": "run0"}, {}, {"run": None}])
+    @pytest.mark.parametrize("will", [{"run": "run0"}, {}])
     def test_a_late_last_will_of_another_run_changes_nothing(self, will):
         bench = begun("armed")
         session = bench.supervisor.session
-        told = bench.supervisor.inputs.on_status({"state": "offline", "reason": "connection lost"} | will, bench.now)
+        told = bench.supervisor.inputs.on_status(GatewayStatus(state="offline", **will), bench.now)
         assert "last will of run" in told
         for _ in range(500):
             bench.step()
@@ -552,13 +554,15 @@ class TestTwoGateways:
         scripted.gateway["connection"] = 2
         scripted.run(1.0)
         will = {"state": "offline", "reason": "connection lost", "run": scripted.gateway["run"], "connection": 1}
-        assert "last will of a former connection" in scripted.supervisor.inputs.on_status(will, scripted.now)
+        assert "last will of a former connection" in scripted.supervisor.inputs.on_status(
+            read(GatewayStatus, will), scripted.now
+        )
         scripted.run(0.02)
         assert scripted.state is LinkState.ARMED
         # that of the present one counts, and so does one that names none
         for present in ({"connection": 2}, {}):
             word = {key: text for key, text in will.items() if key != "connection"} | present
-            assert not scripted.supervisor.inputs.on_status(word, scripted.now)
+            assert not scripted.supervisor.inputs.on_status(read(GatewayStatus, word), scripted.now)
             scripted.supervisor.poll(scripted.now)
             assert scripted.state is LinkState.GATEWAY_OFFLINE
             scripted.run(1.0)
@@ -567,6 +571,6 @@ class TestTwoGateways:
     def test_the_own_last_will_counts_at_once(self):
         bench = begun("armed")
         bench.run(0.5)
-        assert not bench.supervisor.inputs.on_status({"state": "offline", "run": bench.gateway.run}, bench.now)
+        assert not bench.supervisor.inputs.on_status(GatewayStatus(state="offline", run=bench.gateway.run), bench.now)
         bench.run(0.04)
         assert bench.link is LinkState.GATEWAY_OFFLINE

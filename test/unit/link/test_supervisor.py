@@ -9,6 +9,7 @@ from supervisor_bench import FAULT, HASH, RUN, SILENCE, TOLERANCE, armed, bench,
 
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.units import NANOSECONDS
+from construction_twin.link.gateway_status import GatewayAnswer, GatewayStatus, read
 from construction_twin.link.observations import FRESH, STATUS_TIMEOUT, LinkState
 from construction_twin.link.supervisor import RETRY
 from construction_twin.mqtt.messages import arm_value
@@ -91,9 +92,8 @@ class TestMismatch:
         [
             ({"hash": "beef"}, "hash"),
             ({"decimals": 6}, "6 decimals"),
-            ({"hash": None}, "hash"),
+            ({"hash": ""}, "hash"),
             ({"run": ""}, "run"),
-            ({"run": None}, "run"),
             ({"protocol": 1}, "gateway speaks protocol 1, the bridge 2: install the same version on both sides"),
             ({"protocol": 3}, "gateway speaks protocol 3, the bridge 2"),
         ],
@@ -141,7 +141,7 @@ class TestAnswers:
         assert bench.state is LinkState.RESYNC and "the arm is elsewhere" in bench.supervisor.reason
         assert len(bench.sent) <= 3.0 * NANOSECONDS / RETRY + 1
 
-    @pytest.mark.parametrize("answer", [{}, {"id": None}, {"id": "nobody's", "ok": True}])
+    @pytest.mark.parametrize("answer", [GatewayAnswer(), GatewayAnswer(id="nobody's", ok=True)])
     def test_an_answer_to_something_else_is_ignored(self, bench, answer):
         bench.answering = False
         bench.run(0.3)
@@ -216,7 +216,7 @@ class TestRun:
             bench.answer(control)
         else:
             bench.set_gateway("ready", run=run)
-            bench.supervisor.inputs.on_status(dict(bench.gateway), bench.now)
+            bench.supervisor.inputs.on_status(read(GatewayStatus, bench.gateway), bench.now)
             bench.refuse(control, "run 'run1' is not the gateway's present one")
 
     def test_a_former_run_s_status_costs_one_refusal_and_no_person(self, bench):

@@ -62,8 +62,6 @@ class TestReturn:
             ({"cause": "silence"}, LinkState.ARMED),
             ({"cause": "stop"}, LinkState.NEEDS_RESET),
             ({}, LinkState.NEEDS_RESET),
-            ("silence", LinkState.NEEDS_RESET),
-            (None, LinkState.NEEDS_RESET),
         ],
     )
     def test_the_cause_in_the_status_counts_and_not_the_sentence(self, armed, stop, state):

@@ -8,6 +8,7 @@ import pytest
 from tool_cell import ToolCell
 
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
+from construction_twin.link.gateway_status import NO_STATUS, GatewayAnswer, GatewayStatus, read
 from construction_twin.link.tool_link import ToolLink, tool_report
 
 _, ARMED, FIRED, VOID, REFUSED = SwitchState
@@ -25,21 +26,21 @@ def told(tool, obstacle=""):
     return {id: switch.state for id, switch in tool.report(obstacle).switches.items()}
 
 
-def status(state="armed", run="r1", **changes):
+def status(state="armed", run="r1", session="", **changes):
     switches = [{"id": "a", "output": "vacuum", "value": True, "stamp": 5, "state": state, "reason": "why"}]
     tool = {
         "name": "frame", "known": True, "reason": "", "outputs": {"vacuum": False}, "commanded": {"vacuum": False},
         "enabled": False, "inputs": {"reached": True}, "switches": switches,
     }  # fmt: skip
-    return {"state": "following", "run": run, "tool": tool | changes}
+    return GatewayStatus.model_validate({"state": "following", "run": run, "session": session, "tool": tool | changes})
 
 
 #: A status of another session.
-NEXT = status(switches=[]) | {"session": "s2"}
+NEXT = status(session="s2", switches=[])
 
 
-def answer(control, ok=True, reason="armed"):
-    return {"id": control.id, "verb": control.verb, "ok": ok, "reason": reason, "session": control.session}
+def answer(control, ok=True, reason="armed", **other):
+    return GatewayAnswer(**{"id": control.id, "verb": control.verb} | other, ok=ok, reason=reason)
 
 
 def test_a_switch_becomes_a_message_of_the_session_and_its_answer_is_told():
@@ -113,11 +114,11 @@ def test_a_gateway_that_was_started_again_has_no_armed_switches():
 
 def test_the_last_refusal_is_told_until_a_switch_is_accepted_or_another_session_begins():
     tool = link()
-    tool.on_status(status(switches=[]) | {"session": "s1"})
+    tool.on_status(status(session="s1", switches=[]))
     assert tool.report("").reason == ""
     for number, end in enumerate((lambda: tool.on_answer(answer(switch(tool, "ok"))), lambda: tool.on_status(NEXT))):
         tool.on_answer(answer(switch(tool, f"no{number}"), False, "tool: no"))
-        tool.on_status(status(switches=[]) | {"session": "s1"})
+        tool.on_status(status(session="s1", switches=[]))
         assert tool.report("").reason == "tool: no"
         end()
         assert tool.report("").reason == ""
@@ -160,15 +161,15 @@ def test_of_many_switches_the_last_16_are_told():
 def test_answers_to_others_and_to_other_verbs_are_not_its_own():
     tool = link()
     control = switch(tool)
-    tool.on_answer(answer(control) | {"id": "other"})
-    tool.on_answer(answer(control) | {"verb": "arm"})
+    tool.on_answer(answer(control, id="other"))
+    tool.on_answer(answer(control, verb="arm"))
     assert told(tool) == {}
 
 
 def test_a_real_status_is_read_and_a_gateway_without_a_tool_has_no_hands():
     cell = ToolCell().follow()
     assert cell.ask(True, id="grip")[0]
-    report = tool_report(cell.gateway.status())
+    report = tool_report(read(GatewayStatus, cell.gateway.status()))
     assert report == ToolReport(True, "vacuum_frame", {"vacuum": False}, {"vacuum_reached": False}, report.switches, "")
     assert [(id, switch.state) for id, switch in report.switches.items()] == [("grip", ARMED)]
-    assert tool_report({}).tool == "" and "without hands" in tool_report({}).reason
+    assert tool_report(NO_STATUS).tool == "" and "without hands" in tool_report(NO_STATUS).reason

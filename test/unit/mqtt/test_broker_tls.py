@@ -67,10 +67,9 @@ def refusal(broker: Broker) -> str:
 
 
 @pytest.mark.parametrize("kind", ["account", "certificate"])
-@pytest.mark.parametrize("protocol", ["5", "3.1.1"])
 @pytest.mark.parametrize("host", ["localhost", "127.0.0.1"])
-def test_an_account_of_the_site_gets_in(site, kind, protocol, host):
-    with Attempt(site.broker(site.account("one-gateway", kind), host, protocol=protocol)) as attempt:
+def test_an_account_of_the_site_gets_in(site, kind, host):
+    with Attempt(site.broker(site.account("one-gateway", kind), host)) as attempt:
         wait_until(lambda: attempt.welcome, what="the broker's welcome")
         assert attempt.client.socket().version() in ("TLSv1.2", "TLSv1.3")
     assert attempt.said == []
@@ -92,12 +91,11 @@ def test_nobody_is_anonymous(site):
     assert "wants an account" in refusal(site.broker(Account(ca_file=ca_file)))
 
 
-@pytest.mark.parametrize("protocol", ["5", "3.1.1"])
-def test_a_wrong_password_is_named_with_its_file_and_not_told(site, tmp_path, protocol):
+def test_a_wrong_password_is_named_with_its_file_and_not_told(site, tmp_path):
     path = tmp_path / "password"
     write_private(path, "guessed-secret\n")
     account = replace(site.account("one-gateway"), password_file=str(path))
-    sentence = refusal(site.broker(account, protocol=protocol))
+    sentence = refusal(site.broker(account))
     assert "'one-gateway'" in sentence and str(path) in sentence and "guessed-secret" not in sentence
 
 

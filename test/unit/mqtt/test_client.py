@@ -29,11 +29,6 @@ def test_on_loopback_a_password_needs_no_tls(host):
     assert not Broker(host, account=ACCOUNT).encrypted
 
 
-def test_another_protocol_is_refused():
-    with pytest.raises(ConfigurationError, match="protocol"):
-        Broker(protocol="3.1")
-
-
 def test_an_account_whose_files_are_missing_makes_no_client():
     with pytest.raises(ConfigurationError, match="/nowhere/password"):
         make_client(Broker(account=ACCOUNT), "id", "a/status")

@@ -22,7 +22,7 @@ from construction_twin.mqtt.polled_client import PolledClient
 REFUSED_VERSION = b"\x20\x02\x00\x01"
 #: CONNACK of MQTT 5 with the reason code of the same meaning, as a broker of MQTT 5 refuses a newer one.
 REFUSED_VERSION_5 = b"\x20\x03\x00\x84\x00"
-REMEDY = "does not speak MQTT 5, only an older version: start with protocol:=3.1.1"
+REMEDY = "does not speak MQTT 5: use one that does, as mosquitto (docs/broker.md)"
 
 
 class Answering:
@@ -114,12 +114,11 @@ KINDS = pytest.mark.parametrize("kind", [ThreadClient, LoopClient])
 
 @KINDS
 @pytest.mark.parametrize("answer", [REFUSED_VERSION, REFUSED_VERSION_5], ids=["return code 1", "reason code 132"])
-def test_a_broker_without_mqtt_5_is_told_once_with_the_argument_that_helps(kind, answer):
+def test_a_broker_without_mqtt_5_is_told_once_with_what_helps(kind, answer):
     with Answering(answer) as server, kind(Broker(port=server.port)) as attempt:
         wait_until(lambda: server.clients >= 3, what="the third attempt")
         assert len(attempt.said) == 1 and attempt.report.sentence == attempt.said[0]
-    assert attempt.said[0].startswith(f"broker 127.0.0.1:{server.port} {REMEDY}")
-    assert "--protocol 3.1.1" in attempt.said[0] and "docs/broker.md" in attempt.said[0]
+    assert attempt.said[0] == f"broker 127.0.0.1:{server.port} {REMEDY}"
 
 
 @KINDS
@@ -129,8 +128,5 @@ def test_a_broker_without_mqtt_5_is_told_once_with_the_argument_that_helps(kind,
 def test_a_program_that_is_no_broker_is_no_protocol_error(kind, answer):
     with Answering(answer) as server, kind(Broker(port=server.port)) as attempt:
         wait_until(lambda: attempt.said, what="a sentence")
-    assert attempt.said[0].startswith(
-        f"broker 127.0.0.1:{server.port} closed the connection without an answer: does the port speak MQTT 5 without TLS"
-        "; one without MQTT 5 may do so (RabbitMQ before 3.13): start with protocol:=3.1.1 ("
-    )
-    assert "rotocol error" not in attempt.said[0]
+    asked = "closed the connection without an answer: does the port speak MQTT 5 without TLS?"
+    assert attempt.said[0] == f"broker 127.0.0.1:{server.port} {asked}"

@@ -185,13 +185,13 @@ class ScriptedBroker(threading.Thread):
     def run(self) -> None:
         with self._socket, self._context.wrap_socket(self._socket.accept()[0], server_side=True) as line:
             line.recv(4096)
-            line.sendall(b"\x20\x02\x00\x00" + self._payload)
+            line.sendall(b"\x20\x03\x00\x00\x00" + self._payload)
             self.ended.wait(30.0)
 
 
 def packet(payload: bytes) -> bytes:
-    """Return an MQTT 3.1.1 PUBLISH with QoS 0 on topic t."""
-    body = struct.pack(">H", 1) + b"t" + payload
+    """Return an MQTT 5 PUBLISH with QoS 0 on topic t."""
+    body = struct.pack(">H", 1) + b"t\0" + payload
     return bytes((0x30, len(body))) + body
 
 
@@ -201,7 +201,7 @@ def test_packets_that_share_a_tls_record_do_not_wait_for_the_next_one(site, coun
     payloads = [b"%05d" % k for k in range(count)]
     scripted = ScriptedBroker(site, b"".join(map(packet, payloads)))
     scripted.start()
-    broker = Broker("localhost", scripted.port, protocol="3.1.1", account=site.account("one-gateway"))
+    broker = Broker("localhost", scripted.port, account=site.account("one-gateway"))
     try:
         with loop_of(broker) as loop:
             loop.turn_until(lambda: len(loop.received) >= count, "every packet of the record")

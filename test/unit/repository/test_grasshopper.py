@@ -9,6 +9,7 @@ import ast
 import json
 import shutil
 import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -26,7 +27,7 @@ from site_broker import SiteBroker
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.extensions.console.nodes import requests
 from construction_twin.extensions.console.nodes.endpoint import Connection
-from construction_twin.extensions.console.nodes.feed import ConsoleFeed, Others, Poses
+from construction_twin.extensions.console.nodes.feed import ARM, TWIN, ConsoleFeed
 from construction_twin.extensions.console.nodes.requests import ConsoleRequests, RobotContext
 from construction_twin.extensions.console.remote_view import ViewWriter
 from construction_twin.kinematics.chain import Chain
@@ -53,9 +54,10 @@ def python():
     stamp, wanted = VENV / ".requirements", REQUIREMENTS.read_text()
     if not stamp.exists() or stamp.read_text() != wanted:
         shutil.rmtree(VENV, ignore_errors=True)
-        subprocess.run(["/usr/bin/python3", "-m", "venv", VENV], check=True)
-        pip = [VENV / "bin/pip", "install", "--quiet", "--disable-pip-version-check", "-r", REQUIREMENTS]
-        done = subprocess.run(pip, capture_output=True, text=True)
+        subprocess.run(["/usr/bin/python3", "-m", "venv", "--without-pip", VENV], check=True)
+        pip = [sys.executable, "-m", "pip", "--python", VENV / "bin/python", "--quiet", "--disable-pip-version-check"]
+        # of all that comes with it two short programs import a little
+        done = subprocess.run([*pip, "install", "--no-compile", "-r", REQUIREMENTS], capture_output=True, text=True)
         assert done.returncode == 0, f"pip could not install {REQUIREMENTS.name}: {done.stderr[-1000:]}"
         stamp.write_text(wanted)
     return VENV / "bin/python"
@@ -106,7 +108,7 @@ class Cell:
             broker, unique_id("kr120", "planner"), "twin/kr120/view", writer.offline().decode(), will_retained=False
         )
         connection = Connection(broker, self._client, Topics("twin", "kr120"), self.refusals.refuse)
-        self.feed = ConsoleFeed("base_link", connection, writer, Poses(Stream(), Stream()), Others())
+        self.feed = ConsoleFeed("base_link", connection, writer, {TWIN: Stream(), ARM: Stream()})
         around = RobotContext(lambda: ROBOT.home)
         self.requests = ConsoleRequests(joints, {}, self.planner, None, around, connection, 2_000_000)
         self.feed.on_execution(Execution(text="IDLE", reason="at rest"))

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import math
-import os
-import shutil
 import signal
-import socket
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections import deque
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import rospy
 from bridge_bench import Refusals, open_ports
-from processes import ROOT, BrokerProcess, listens, wait_until
+from processes import ROOT, BrokerProcess, wait_until
 from site_broker import Listener, SiteBroker
 from unplugged import ask
 
@@ -31,82 +26,6 @@ from construction_twin.mqtt.messages import Topics
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.nodes.mqtt_bridge import NODE, MqttBridge, Settings
 from construction_twin.ros.shared.gateway_config import gateway_config
-
-#: The program itself: the one in /usr/sbin writes into the system's folders.
-PROGRAM = Path("/usr/lib/rabbitmq/bin/rabbitmq-server")
-USER = "rabbitmq"
-
-
-def is_installed() -> bool:
-    """Return whether this machine can run one: the program refuses other users than its own, so root must become that one."""
-    return PROGRAM.exists() and shutil.which("setpriv") is not None and os.geteuid() == 0
-
-
-def free_ports(count: int) -> list[int]:
-    """Return some free TCP ports of the loopback interface."""
-    probes = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
-    ports = [probe.getsockname()[1] for probe in probes]
-    for probe in probes:
-        probe.close()
-    return ports
-
-
-class RabbitBroker:
-    """A RabbitMQ with its MQTT plugin, in a folder of its own; it and its port mapper end with `kill`."""
-
-    def __init__(self):
-        self.port, distribution, self._mapper = free_ports(3)
-        self._folder = Path(tempfile.mkdtemp(prefix="rabbit"))
-        (self._folder / "rabbitmq.conf").write_text(
-            f"listeners.tcp = none\nmqtt.listeners.tcp.1 = 127.0.0.1:{self.port}\nmqtt.allow_anonymous = true\n"
-            "mqtt.tcp_listen_options.nodelay = true\n"
-        )
-        (self._folder / "enabled_plugins").write_text("[rabbitmq_mqtt].\n")
-        shutil.chown(self._folder, USER)
-        folder = str(self._folder)
-        self._environment = {
-            "PATH": os.environ["PATH"],
-            "HOME": folder,
-            "RABBITMQ_NODENAME": f"twin{self.port}@localhost",
-            "RABBITMQ_CONFIG_FILE": f"{folder}/rabbitmq.conf",
-            "RABBITMQ_ENABLED_PLUGINS_FILE": f"{folder}/enabled_plugins",
-            "RABBITMQ_MNESIA_BASE": f"{folder}/mnesia",
-            "RABBITMQ_LOG_BASE": f"{folder}/log",
-            "RABBITMQ_DIST_PORT": str(distribution),
-            "RABBITMQ_SERVER_ADDITIONAL_ERL_ARGS": "-kernel inet_dist_use_interface {127,0,0,1}",
-            "ERL_EPMD_PORT": str(self._mapper),
-            "ERL_EPMD_ADDRESS": "127.0.0.1",
-        }
-        self._process: subprocess.Popen | None = None
-
-    def start(self) -> None:
-        self._process = subprocess.Popen(
-            ["setpriv", f"--reuid={USER}", f"--regid={USER}", "--clear-groups", str(PROGRAM)],
-            env=self._environment,
-            cwd=self._folder,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-        wait_until(lambda: listens(self.port), 90.0, "RabbitMQ listening")
-
-    def kill(self) -> None:
-        """End it, and the port mapper that it has started."""
-        if self._process is not None:
-            os.killpg(self._process.pid, signal.SIGKILL)
-            self._process.wait(10.0)
-            self._process = None
-        mapper = {"ERL_EPMD_PORT": str(self._mapper), "PATH": os.environ["PATH"]}
-        wait_until(
-            lambda: (
-                subprocess.run(["epmd", "-kill"], env=mapper, capture_output=True).returncode == 0
-                or not listens(self._mapper)
-            ),
-            what="the end of RabbitMQ's port mapper",
-        )
-        shutil.rmtree(self._folder, ignore_errors=True)
-
 
 ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
 CODEC = JointStringCodec.of(ROBOT, 3)
@@ -120,10 +39,10 @@ CHANGE = 2e-5
 class Cell:
     """A bridge whose twin is where it is told to be, and a PLC process, on one broker."""
 
-    def __init__(self, port: int, protocol: str, prefix: str):
-        self.topics, self.broker = Topics(prefix, "kr120"), Broker(port=port, protocol=protocol)
+    def __init__(self, port: int, prefix: str):
+        self.topics, self.broker = Topics(prefix, "kr120"), Broker(port=port)
         settings = Settings(
-            arm="mock", host="127.0.0.1", port=port, protocol=protocol, prefix=prefix, gateway_kind="plc", reset_timeout=5.0,
+            arm="mock", host="127.0.0.1", port=port, prefix=prefix, gateway_kind="plc", reset_timeout=5.0,
             max_state_age=0.1,
         )  # fmt: skip
         self.client = make_client(self.broker, unique_id("kr120", "bridge"), self.topics.bridge_status, direct=True)
@@ -156,14 +75,7 @@ class Cell:
 
     def start_plc(self) -> None:
         command = [sys.executable, str(ROOT / "examples/plc/bare_plc.py"), "--broker", f"127.0.0.1:{self.broker.port}"]
-        command += [
-            "--topics",
-            f"{self.topics.prefix}/kr120",
-            "--delay",
-            str(DELAY),
-            "--protocol",
-            self.broker.protocol,
-        ]
+        command += ["--topics", f"{self.topics.prefix}/kr120", "--delay", str(DELAY)]
         self.plc = subprocess.Popen(command, stdout=subprocess.DEVNULL)
 
     def end_plc(self, number: int) -> None:
@@ -240,16 +152,6 @@ class Cell:
 
 
 @pytest.fixture(scope="module")
-def rabbit():
-    if not is_installed():
-        pytest.skip("rabbitmq-server is not installed, or this is not root")
-    broker = RabbitBroker()
-    broker.start()
-    yield broker.port
-    broker.kill()
-
-
-@pytest.fixture(scope="module")
 def mosquitto():
     broker = BrokerProcess()
     broker.start()
@@ -257,11 +159,10 @@ def mosquitto():
     broker.kill()
 
 
-@pytest.fixture(params=["mosquitto 5", "mosquitto 3.1.1", "rabbit 3.1.1"])
-def cell(request, topics, monkeypatch):
-    name, protocol = request.param.split()
+@pytest.fixture
+def cell(mosquitto, topics, monkeypatch):
     monkeypatch.setattr(rospy.Time, "now", lambda: rospy.Time(1))
-    with Cell(request.getfixturevalue(name), protocol, topics.prefix) as cell:
+    with Cell(mosquitto, topics.prefix) as cell:
         yield cell
 
 
@@ -302,15 +203,6 @@ def test_a_plc_that_dies_or_ends_is_offline_by_its_word(cell):
     cell.arm()
     cell.end_plc(signal.SIGTERM)
     cell.wait_for(LinkState.GATEWAY_OFFLINE)
-
-
-def test_rabbitmq_with_mqtt_5_is_told_with_the_argument_that_helps(rabbit, topics, monkeypatch):
-    monkeypatch.setattr(rospy.Time, "now", lambda: rospy.Time(1))
-    with Cell(rabbit, "5", topics.prefix) as cell:
-        # until a version that knows MQTT 5 is installed
-        wait_until(lambda: cell.links and ": broker 127.0.0.1:" in cell.link.reason, 20.0, "why there is no connection")
-        assert cell.link.text == "DISCONNECTED" and "start with protocol:=3.1.1" in cell.link.reason
-        assert "rotocol error" not in cell.link.reason
 
 
 def test_with_a_site_s_gateway_account_it_says_its_word_and_its_pose(tmp_path):

@@ -135,7 +135,7 @@ def test_a_bridge_that_is_started_again_reads_what_the_one_before_it_waited_for(
     bench.client.on_stream = lambda *_: None
     monkeypatch.setattr(mqtt_bridge, "config_of_link", lambda *_: CONFIG)
     monkeypatch.setattr(mqtt_bridge, "make_client", lambda *_, **__: bench.client)
-    monkeypatch.setattr(mqtt_bridge, "connect", lambda *_: None)
+    monkeypatch.setattr(mqtt_bridge, "connect", lambda *_, **__: None)
     ports = open_ports(bench.diagnostics, waits="not armed within 5 s; call reset")
     axes = [SimpleNamespace(name=name, sign=1, offset=0.0) for name in CONFIG.axes]
     robot = SimpleNamespace(name="arm", joint_names=CONFIG.axes, axes=axes, linear=(False,) * 2)

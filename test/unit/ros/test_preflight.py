@@ -73,7 +73,6 @@ def test_what_the_package_ships_is_fine(words):
         ("arm:=foo", "arm: found 'foo', expected mock, real or none"),
         ("twin:=bullet", "twin: found 'bullet', expected kinematic, mujoco or gazebo"),
         ("servo:=perfect", "servo: found 'perfect', expected ideal, realistic or physics"),
-        ("protocol:=4", "protocol: found '4', expected 5 or 3.1.1"),
         ("gateway_kind:=bare", "gateway_kind: found 'bare', expected rsi or plc"),
         ("rehearsal:=maybe", "mode: found 'maybe', expected auto, advise or require"),
         ("decimals:=7", "decimals: found 7, expected less than or equal to 6"),

@@ -118,7 +118,7 @@ export function plan(changes = {}) {
   return {
     id: "p1", hash: "h1", source: "request", planner: "RRTConnect", scene: "5ce9e0", tool: "t", frame: "base_link", created_ns: 1, duration: 1,
     planning_time: 0.1, joints: ["joint_a1"], start: [0], goal: [1], waypoints: 2, tool_path: [[0, 0, 1], [0, 1, 1]],
-    tool_path_deviation: 0, clearance: null, use: {velocity: [], acceleration: [], jerk: []},
+    clearance: null, use: {velocity: [], acceleration: [], jerk: []},
     trajectory: {times: [0, 1], positions: [[0], [1]], velocities: [[0], [0]], accelerations: [[0], [0]]},
     ...changes,
   };

@@ -204,10 +204,7 @@ class Pipe:
 
 
 async def read_connack(reader: asyncio.StreamReader) -> bytes:
-    """Return the broker's answer to a login as far as its last byte, the reason code: 0 accepts it (MQTT 5.0, section 3.2).
-
-    Raises `Cut` where what answers is no broker.
-    """
+    """Return the broker's answer to a login up to its reason code (MQTT 5.0, section 3.2); `Cut` where there is no broker."""
     # type, length, flags, reason code; each byte of the length says whether another one follows
     answer = await reader.readexactly(4)
     length = 1

@@ -40,23 +40,14 @@ MESHES = "../mesh/"
 
 
 class PrivateFiles:
-    """Writes them for one robot.
-
-    Args:
-        folder: Made where it does not exist.
-        robot: Name of the robot.
-    """
+    """Writes them for one robot; ConfigurationError where the folder takes no files."""
 
     def __init__(self, folder: Path, robot: str):
         self._folder = folder
         self._robot = robot
 
     def write_robot(self, urdf: str) -> tuple[str, ...]:
-        """Write the robot's model without collision shapes, and its meshes; return a sentence for each shape that is left out.
-
-        Raises:
-            ConfigurationError: When the folder takes no files, or the text is no URDF.
-        """
+        """Write the robot's model without collision shapes, and its meshes; return a sentence for each shape that is left out."""
         try:
             # bytes, because the XML parser refuses an encoding declaration in a str
             robot = ElementTree.fromstring(urdf.encode())
@@ -84,12 +75,7 @@ class PrivateFiles:
         return tuple(problems)
 
     def write_scene(self, scene: Scene) -> None:
-        """Write the meshes of a scene, as binary STL in the files' own units.
-
-        Raises:
-            ConfigurationError: When the folder takes no files.
-            SceneError: When a mesh cannot be read any more.
-        """
+        """Write the meshes of a scene, as binary STL in the files' own units; SceneError for one that cannot be read any more."""
         for item in scene.objects:
             name = f"mesh/{item.mesh_digest}.stl"
             if item.mesh and not (self._folder / name).exists():
@@ -98,11 +84,11 @@ class PrivateFiles:
                 self._write(name, binary_stl(vertices[triangles]))
 
     def write_building(self, glb: bytes) -> None:
-        """Write the building model; ConfigurationError when the folder takes no files."""
+        """Write the building model."""
         self._write(f"{self._robot}/building.glb", glb)
 
     def drop_building(self) -> None:
-        """Take away the building model of an earlier start; ConfigurationError when that is not possible."""
+        """Take away the building model of an earlier start."""
         try:
             (self._folder / self._robot / "building.glb").unlink(missing_ok=True)
         except OSError as error:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any
 
 import pydantic
@@ -20,7 +19,7 @@ MAX_TRAJECTORY_NUMBERS = 100_000
 _MAX_SHOWN = 200
 #: Most names of objects that are shown of a segment's change of the scene.
 _MOST_OBJECTS = 20
-#: Decimals of lengths that are only displayed, 0.1 mm, and of times [s] and deviations [m].
+#: Decimals of lengths that are only displayed, 0.1 mm, and of times [s].
 _DISPLAYED, _MICRO = 4, 6
 
 Point = tuple[float, float, float]
@@ -42,13 +41,7 @@ class SwitchView:
 
 @dataclass(frozen=True)
 class SegmentView:
-    """What is shown of a segment of a work plan, which ends at `end` [s]; the keys of its JSON.
-
-    Attributes:
-        tool_path_end: Which point of the tool path is at its end, from 0.
-        scene, scene_after: Hashes.
-        put, remove: Names of objects.
-    """
+    """What is shown of a segment of a work plan, which ends at `end` [s] and at a point of the tool path; the keys of its JSON."""
 
     name: str
     end: float
@@ -64,13 +57,10 @@ class SegmentView:
 
 @dataclass(frozen=True)
 class ClearanceView:
-    """How close the arm comes to something else.
+    """How close the arm comes to something else: at a `time` of the plan [s], at a `point` in its frame [m].
 
     Attributes:
         distance: [m]; inf, which JSON has as null: there is nothing to touch.
-        time: Of the plan [s].
-        between: Links or objects.
-        point: In the plan's `frame` [m].
     """
 
     distance: Annotated[float, OR_NULL]
@@ -93,16 +83,11 @@ class PlanView:
     """A message on <prefix>/<robot>/plan: the plan under review. SI: m, rad, s.
 
     Attributes:
-        scene: Its hash.
-        frame: Of all points.
-        created_ns: ROS time [ns].
         waypoints: How many points the whole tool path has.
-        tool_path: Of tool0; at the waypoints until it is thinned.
-        tool_path_deviation: How far the thinned path is off at most.
+        tool_path: Of tool0; at the waypoints until `to_json` thins it.
         clearance: None when it was not measured.
-        trajectory: What the trajectory's hash covers besides the joints' names: ``times``, and by waypoint ``positions``,
-            ``velocities`` and ``accelerations``; None when it is too long. Who checks the hash reads the numbers.
-        tool: Hash of the tool file that counts, where there is a tool. A rehearsal with another one is none of this plan.
+        trajectory: ``times``, and for each ``positions``, ``velocities``, ``accelerations``, which the hash covers; None: too long.
+        tool: Hash of the tool file that counts. A rehearsal with another one is none of this plan.
         task, content, segments: Of a work plan only. `content` is the text whose SHA-256 is its hash.
     """
 
@@ -120,7 +105,6 @@ class PlanView:
     goal: Sequence[float]
     waypoints: int
     tool_path: Sequence[_ShownPoint]
-    tool_path_deviation: Annotated[float, rounded(_MICRO)] = 0.0
     clearance: ClearanceView | None
     use: UseView
     trajectory: Mapping[str, Any] | None
@@ -132,8 +116,11 @@ class PlanView:
     def to_json(self, points: int) -> bytes:
         """Return the payload for `plan`, its tool path thinned to `points` and the ends of the segments."""
         segments = self.segments or ()
-        path, deviation, ends = thinned(self.tool_path, points, [segment.tool_path_end for segment in segments])
-        sent = [replace(each, tool_path_end=end, put=_object_names(each.put)) for each, end in zip(segments, ends)]
+        kept = kept_points(len(self.tool_path), points, [segment.tool_path_end for segment in segments])
+        sent = [
+            replace(each, tool_path_end=kept.index(each.tool_path_end), put=_object_names(each.put))
+            for each in segments
+        ]
         times = self.trajectory["times"] if self.trajectory is not None else ()
         too_long = len(times) * (1 + 3 * len(self.joints)) > MAX_TRAJECTORY_NUMBERS
         message = replace(
@@ -142,8 +129,7 @@ class PlanView:
             planner=shown(self.planner),
             scene=shown(self.scene),
             frame=shown(self.frame),
-            tool_path=path,
-            tool_path_deviation=deviation,
+            tool_path=[self.tool_path[k] for k in kept],
             trajectory=None if too_long else self.trajectory,
             segments=sent or None,
         )
@@ -169,34 +155,6 @@ def kept_points(count: int, points: int, keep: Sequence[int] = ()) -> list[int]:
     if count <= points:
         return list(range(count))
     return sorted({round(k * (count - 1) / (points - 1)) for k in range(points)} | set(keep))
-
-
-def thinned(path: Sequence[Point], points: int, keep: Sequence[int] = ()) -> tuple[list[Point], float, list[int]]:
-    """Return at most `points` (2 or more) of a path [m], evenly by number and with both ends, and what was lost.
-
-    Returns:
-        kept: Of `keep`, the numbers of points that stay in any case, too.
-        deviation: Largest distance of a point left out from the line between its kept neighbours [m].
-        places: Where in `kept` the points of `keep` are.
-    """
-    indices = kept_points(len(path), points, keep)
-    deviation = 0.0
-    for begin, end in zip(indices, indices[1:]):
-        for k in range(begin + 1, end):
-            deviation = max(deviation, _distance(path[k], path[begin], path[end]))
-    place = {index: number for number, index in enumerate(indices)}
-    return [path[k] for k in indices], deviation, [place[index] for index in keep]
-
-
-def _distance(point: Point, begin: Point, end: Point) -> float:
-    """Return the distance of a point from the line between two others [m]."""
-    along = [b - a for a, b in zip(begin, end)]
-    length = math.hypot(*along)
-    if length == 0.0:
-        return math.dist(point, begin)
-    fraction = sum(d * (p - a) for d, p, a in zip(along, point, begin)) / length**2
-    fraction = min(1.0, max(0.0, fraction))
-    return math.dist(point, [a + fraction * d for a, d in zip(begin, along)])
 
 
 class PlanBoard:
@@ -252,15 +210,12 @@ _PATHS = pydantic.TypeAdapter(PathView)
 
 @dataclass(frozen=True)
 class ObjectView:
-    """One body of a scene.
+    """One body of a scene: at its pose in `link`, or in the scene's frame [m], x y z w.
 
     Attributes:
         size: As in `SceneObject.msg` [m]; of a mesh its scale.
         mesh: SHA-256 of the file, because a console does not see this machine's; empty for other shapes.
-        position: In `link`, or in the scene's frame [m].
-        orientation: x, y, z, w.
         padding: Distance to keep from it [m], added to the scene's own.
-        link: That carries it; empty: it stands in the scene's frame.
         touch: Links and objects that may touch it.
     """
 
@@ -277,12 +232,7 @@ class ObjectView:
 
 @dataclass(frozen=True)
 class SceneView:
-    """A message on <prefix>/<robot>/scene: what the arm must not touch.
-
-    Attributes:
-        frame: The robot's base_link.
-        padding: Distance to keep from every object [m].
-    """
+    """A message on <prefix>/<robot>/scene: what the arm must not touch, in its base_link, and how far to keep from it [m]."""
 
     hash: str
     frame: str
@@ -292,18 +242,7 @@ class SceneView:
 
 def scene_view(scene: Scene, frame: str) -> SceneView:
     """Return what is shown of a scene; `frame` is the robot's base_link. `core.records` writes it."""
-    objects = [
-        ObjectView(
-            each.name,
-            each.shape,
-            each.size,
-            each.mesh_digest,
-            each.position,
-            each.quaternion,
-            each.padding,
-            each.link,
-            each.touch,
-        )
-        for each in scene.objects
-    ]
+    other = {"mesh": "mesh_digest", "orientation": "quaternion"}
+    names = [each.name for each in fields(ObjectView)]
+    objects = [ObjectView(*(getattr(each, other.get(name, name)) for name in names)) for each in scene.objects]
     return SceneView(scene.hash, frame, scene.padding, objects)

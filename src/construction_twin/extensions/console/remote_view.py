@@ -1,8 +1,8 @@
 """`view` on MQTT: the state of twin, arm, gate, link and execution in one message of plain JSON. Pure.
 
-Fixed by `View`, of which pydantic makes the JSON Schema (scripts/schemas.py); a change that a reader could notice raises `VERSION`.
-Versions that only add keys keep `COMPATIBLE`: a reader of that version goes on reading, if it leaves alone what it does not know.
-SI: m, rad, s; times are numbers of seconds, because stamps in ns are larger than the whole numbers that JavaScript keeps exactly.
+Fixed by `View`, of which pydantic makes the JSON Schema (scripts/schemas.py); a change that a reader could notice raises `VERSION`,
+one that only adds keys keeps `COMPATIBLE`. SI: m, rad, s; times are numbers of seconds, because stamps in ns are larger than the
+whole numbers that JavaScript keeps exactly.
 """
 
 from __future__ import annotations
@@ -52,13 +52,7 @@ class JointsView:
 
 @dataclass(frozen=True)
 class PoseView:
-    """A pose.
-
-    Attributes:
-        stamp: Of the joint state, ROS time [s].
-        age: At `stamp` of the message, since the pose was received [s].
-        positions: [rad], [m].
-    """
+    """A pose, positions in rad and m. `stamp` is that of the joint state."""
 
     stamp: _Seconds
     age: _Seconds
@@ -67,13 +61,10 @@ class PoseView:
 
 @dataclass(frozen=True)
 class SyncView:
-    """The gate; null after 0.5 s without a report.
+    """The gate, per joint in rad and m; null after 0.5 s without a report.
 
     Attributes:
-        age: At `stamp` of the message, since the report was received [s].
         agreed: Twin and arm agree, whatever the state.
-        error: Difference of arm and twin per joint [rad], [m].
-        threshold: What each error is compared with [rad], [m].
         servo_lag: How long the arm trails its command [s]; null: not known yet.
     """
 
@@ -90,13 +81,7 @@ class SyncView:
 
 @dataclass(frozen=True)
 class ControllerView:
-    """What the controller says of itself on its optional channels; null: it sends none of them.
-
-    Attributes:
-        mode: Operating mode (T1, T2, AUT, EXT); empty: not sent.
-        program: State of its program (ACTIVE, STOP, ...); empty: not sent.
-        override_percent: Program override; null: not sent.
-    """
+    """What the controller says of itself on its optional channels: "" and null are not sent; null: it sends none of them."""
 
     mode: str
     program: str
@@ -108,8 +93,7 @@ class LinkView:
     """The bridge's view of broker, gateway and controller; null after 3 s without a report.
 
     Attributes:
-        age: At `stamp` of the message, since the report was received [s].
-        responsible: Bare mode: the person who armed the PLC; empty otherwise.
+        responsible: Bare mode: the person who armed the PLC.
         round_trip_ms: From a setpoint's passing of the gate to the arm's answer to it.
         late: Replies that came too late at the controller, since the gateway's start.
     """
@@ -127,12 +111,7 @@ class LinkView:
 
 @dataclass(frozen=True)
 class SegmentNow:
-    """Where a work plan is; null: the plan has no segments, or none was entered.
-
-    Attributes:
-        number: From 0.
-        at_boundary: The arm stands at its end: tool and scene change.
-    """
+    """Where a work plan is, from 0; null: the plan has no segments, or none was entered. At its boundary tool and scene change."""
 
     number: _Count
     name: str
@@ -141,12 +120,7 @@ class SegmentNow:
 
 @dataclass(frozen=True)
 class HoldView:
-    """Why the gate is closed, through every state of it until that is mended; null: it is open, or nothing is known against it.
-
-    Attributes:
-        cause: One sentence.
-        since: ROS time [s].
-    """
+    """Why the gate is closed, until that is mended, since a ROS time [s]; null: it is open, or nothing is known against it."""
 
     cause: str
     since: _Seconds
@@ -158,13 +132,8 @@ class SpeedView:
 
     Attributes:
         limit: The lowest of what a program and people have set; it may stand still at 0.
-        by: Whose that is: ``people``, ``program``; empty: nobody limits.
-        reason: One sentence.
-        people: The one limit of all people, which a request sets.
-        person: Who set it, by MQTT the account; empty: not known, or nobody has.
-        since: When, ROS time [s]; 0: nobody has.
-        replaced: What it was before that.
-        replaced_person: Whose that was; empty: nobody's.
+        by: ``people``, ``program``; empty: nobody limits.
+        people: The one limit of all people, which `person` set `since` [s], in place of `replaced`.
     """
 
     limit: _Number
@@ -182,13 +151,9 @@ class ExecutionView:
     """The executor; null while it does not run.
 
     Attributes:
-        age: At `stamp` of the message, since the report was received [s].
-        plan_id: Of the plan that is played, or of the last one; empty: none.
-        outcome: Of the last plan; empty: none has ended.
-        duration: Of that plan as planned [s].
+        plan_id: Of the plan that is played, or of the last one, as `outcome` and `duration` as planned [s].
         progress: How much of its time is over; 1: finished.
-        rate: Present fraction of the planned speed.
-        speed_limit: Fraction that `speed_limit` allows.
+        rate: Present fraction of the planned speed, of which `speed_limit` allows one.
     """
 
     state: str
@@ -209,9 +174,7 @@ class ClosestView:
 
     Attributes:
         distance: [m]; below 0: they overlap.
-        between: Links or objects.
         point: On the first of them, in the robot's base_link [m].
-        age: At `stamp` of the message, since it was measured [s].
     """
 
     distance: _Number
@@ -222,28 +185,11 @@ class ClosestView:
 
 @dataclass(frozen=True)
 class View:
-    """A message on <prefix>/<robot>/view: the state of one robot. SI units: m, rad, s. null: not known, or too old. Versions 2 to
-    7 add keys to version 1 and change none: a reader of version 1 that asks for `compatible` <= 1, in place of `version` = 1, and
-    leaves alone the keys that it does not know, reads it. `since` is the version that has added a key.
+    """A message on <prefix>/<robot>/view: the state of one robot; docs/reference/mqtt.md says its keys. SI units: m, rad, s.
 
-    Attributes:
-        version: Raised by every change that a reader could notice.
-        compatible: The oldest version whose readers can read this message.
-        robot: Name in the topics.
-        online: False: the sender has ended or lost its connection; nothing else is known.
-        run: Random id of the sender's run.
-        seq: Rises by 1 from message to message of a run; 0 when not online.
-        stamp: ROS time of this message [s]; 0 when not online.
-        moment: The moment of this message, for a request to repeat as it is; "" when not online.
-        units: Of all values.
-        twin: The virtual robot.
-        arm: The physical arm, as measured.
-        expected: Where its servos should have it, with the stamp of the measured pose that it is compared with; null: nobody knows
-            how the servos answer, or what the arm is told.
-        plan: Id of the plan under review; empty: none.
-        approval_obstacle: Why that plan could not be approved now, by the executor's own check; empty: it could.
-        overridable: Only its rehearsal is against approving it, which a person may override.
-        said: What another language needs of all sentences here (`core.sentences`).
+    null: not known, or too old. An `age` is at `stamp` of the message, since what it stands beside was received [s]. Versions 2 to
+    7 add keys to version 1 and change none, `since` is the version of a key: a reader of version 1 that asks for `compatible` <= 1,
+    in place of `version` = 1, and leaves alone the keys that it does not know, reads it.
     """
 
     version: Annotated[int, Says(const=VERSION)]
@@ -285,9 +231,7 @@ class Shown(Generic[_Report]):
 
 @dataclass(frozen=True)
 class Seen:
-    """What a view is made of; None is what is not known, or too old to be shown as the present. `plan` is the id of the plan under
-    review, "" for none; `progress` how much of the executor's plan is over, 0 to 1.
-    """
+    """What a view is made of, `plan` the id of the one under review; None: not known, or too old to be shown as the present."""
 
     twin: PoseView | None = None
     arm: PoseView | None = None
@@ -303,11 +247,7 @@ class Seen:
 
 
 class ViewWriter:
-    """Writes the messages of one run of the program; not for use from several threads.
-
-    Args:
-        run: Random id of this run: `seq` begins again with another one.
-    """
+    """Writes the messages of one run of the program, which `run` names; not for use from several threads."""
 
     def __init__(self, robot: str, run: str, joints: Joints):
         self._run = run
@@ -316,12 +256,7 @@ class ViewWriter:
         self._seq = 0
 
     def write(self, now: int, seen: Seen, moment: Moment) -> bytes:
-        """Return the next message.
-
-        Args:
-            now: ROS time [ns].
-            moment: The present one, for the requests of whoever sees this.
-        """
+        """Return the next message at the ROS time `now` [ns], with the moment that requests of whoever sees it repeat."""
         self._seq += 1
         return self._message(True, self._seq, now, seen, str(moment))
 
@@ -400,8 +335,7 @@ def _segment(shown: Shown[ExecutionReport] | None) -> SegmentNow | None:
 class PlanProgress:
     """How much of a plan's time is over, from the executor's reports, which tell the rate only when it changes.
 
-    Between two reports the rate is taken to change evenly. So during a ramp this is off by a part of the ramp's length, and exact
-    where the plan is played as planned.
+    Between two reports the rate is taken to change evenly: exact where the plan is played as planned.
     """
 
     def __init__(self):

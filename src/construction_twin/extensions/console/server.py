@@ -57,10 +57,10 @@ class ServerSettings:
     """What the server serves, and to whom.
 
     Attributes:
-        page: Folder of the page, for everybody; None for a console that only pipes.
+        page: Folder of the page, for everybody; None: it only pipes.
         private: Folder of files for who is logged in: robot model, scene, building model.
         rights: `rights.json` of `make_site`; None: the page does not know who may do what.
-        origins: Further origins whose pages may connect, as browsers write them: ``https://console.cell``.
+        origins: Further origins whose pages may connect: ``https://console.cell``.
         connections, connections_per_peer: Most that are open, TLS handshakes that have not ended included.
         ask_s: Longest wait for a request, and for a TLS handshake [s].
         stall_s, file_stall_s: Who takes nothing of what is shown, or of a file, for so long is cut off [s].
@@ -83,8 +83,8 @@ class ServerSettings:
 class Listener(socket.socket):
     """A listening socket that counts what it accepts, also what never ends its TLS handshake.
 
-    Above a limit the oldest connection that is not logged in ends: of the new one's peer, or of the peer with the most of them. So
-    one peer takes nothing from another one with fewer.
+    Above a limit the oldest connection that is not logged in ends, of the new one's peer, or of the peer with the most of them: one
+    peer takes nothing from another one with fewer.
     """
 
     def __init__(self, family: int, settings: ServerSettings, logged_in: Container[object]):
@@ -279,10 +279,7 @@ async def _add_headers(_: web.Request, answer: web.StreamResponse) -> None:
 
 
 def _file(folder: Path | None, name: str, who: str = "") -> web.FileResponse:
-    """Return the answer with a file of a folder, compressed where that lies beside it with the suffix ``.gz``.
-
-    `who` begins the header that says who may keep it. HTTPNotFound where there is none, it is hidden, or a link out of the folder.
-    """
+    """Return the answer with a file of a folder, compressed as ``.gz`` beside it; HTTPNotFound for a hidden one, or a link out."""
     if folder is None or "/." in f"/{name}":
         raise web.HTTPNotFound(text="no such file\n")
     try:

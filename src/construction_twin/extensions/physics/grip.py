@@ -85,13 +85,7 @@ class SuctionGrip:
 
 
 class GripWatch:
-    """Records what the cups must exert on a workpiece, cycle by cycle.
-
-    Args:
-        grip: The cups that lie on it.
-        pieces: Names of its objects, which the arm carries.
-        joint: Name of the joint that carries the tip link.
-    """
+    """Records what cups must exert on a workpiece, cycle by cycle; `pieces`: names of its objects, `joint`: above the tip."""
 
     def __init__(
         self,

@@ -6,7 +6,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable
-from typing import Literal
+from typing import Literal, TypeVar
 
 import pydantic
 import rospy
@@ -21,12 +21,12 @@ from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bridge import PLC_HALTED, Asked, Bridge, JointStrings
-from construction_twin.link.gateway_status import parse_presence, parse_status
+from construction_twin.link.gateway_status import parse_answer, parse_status
 from construction_twin.link.observations import LinkState
-from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
+from construction_twin.mqtt.client import Broker, make_client, unique_id
+from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import PLC, BridgeStatus, Control, Topics
-from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.msg import Execution, Feedback, Link, SpeedLimitInForce, Sync, ToolCommand, ToolState
 from construction_twin.msg import SessionRequest as SessionRequestMessage
 from construction_twin.robot.description import RobotModel
@@ -45,6 +45,9 @@ from construction_twin.srv import ActAsSeen, TakeResponsibility
 POLL, LOG_PERIOD = 0.02, 0.05
 #: Parameters in the robot's namespace, for the process after this one: whether the arm leads; why a person is waited for.
 MIRROR_MODE, WAITS = "mirror_mode", "waits_for_person"
+
+
+_Read = TypeVar("_Read")
 
 
 class Settings(MqttSettings):
@@ -67,12 +70,11 @@ class MqttBridge:
         config: GatewayConfig,
         codec: JointStringCodec,
         broker: Broker,
-        client: PlainClient,
+        client: FastClient,
         ports: shell.Ports,
     ):
         bare, new_id = settings.gateway_kind == PLC, lambda: uuid.uuid4().hex
-        properties = config.properties and settings.protocol == "5"
-        self._strings = JointStrings(codec, properties, bare, settings.max_state_age)
+        self._strings = JointStrings(codec, config.properties, bare, settings.max_state_age)
         # not private parameters: those hold settings, and these came about while a bridge ran
         mirrors, waits = ports.parameters[MIRROR_MODE] is True, str(ports.parameters[WAITS])
         self._kept = [
@@ -95,7 +97,10 @@ class MqttBridge:
             self._topics.status: lambda message: self.on_status(bytes(message.payload)),
             self._topics.control_ack: lambda message: self.on_answer(bytes(message.payload)),
         }
-        connect(self._client, self._broker, self._connection, self.on_connect, self.on_disconnect, on_message)
+        topics = [(self._topics.state, 0), *((topic, 1) for topic in on_message)]
+        connect(
+            self._client, self._broker, self._connection, topics, self.on_connect, on_message, lost=self.on_disconnect
+        )
 
     @property
     def link(self) -> LinkState:
@@ -188,24 +193,14 @@ class MqttBridge:
 
     # -- MQTT to ROS
 
-    def on_connect(self, client, userdata, flags, reason_code, properties) -> None:
-        """Subscribe, and say that the bridge is here."""
-        if reason_code.is_failure:
-            self._connection.refused(reason_code)
-            return
-        self._connection.connected(client, properties)
-        topics = [(self._topics.state, 0), (self._topics.status, 1), (self._topics.control_ack, 1)]
-        client.subscribe(subscriptions(client, topics))
+    def on_connect(self) -> tuple[str, bytes, bool]:
+        """Return the first message of a connection, which says that the bridge is here."""
         with self._lock:
-            status = self._bridge.status()
             self._supervisor.inputs.on_connection(True)
-        # the broker answers it, and so shows whether this is the account of a bridge
-        info = client.publish(self._topics.bridge_status, status, qos=1, retain=True)
-        self._connection.watch_publish(client, self._topics.bridge_status, info.mid)
+            return self._topics.bridge_status, self._bridge.status(), True
 
-    def on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
-        """Report the end of the connection."""
-        self._connection.lost(reason_code)
+    def on_disconnect(self) -> None:
+        """Take the end of the connection."""
         with self._lock:
             self._supervisor.inputs.on_connection(False)
 
@@ -227,13 +222,13 @@ class MqttBridge:
 
     def on_status(self, payload: bytes) -> None:
         """Take the gateway's status, or a bare PLC's word; one that cannot be read is refused as a whole."""
-        self._take(parse_presence, payload, self._bridge.on_status)
+        self._take(parse_status, payload, self._bridge.on_status)
 
     def on_answer(self, payload: bytes) -> None:
         """Take the gateway's answer to a control message."""
-        self._take(parse_status, payload, self._bridge.on_answer)
+        self._take(parse_answer, payload, self._bridge.on_answer)
 
-    def _take(self, read: Callable[[bytes], dict], payload: bytes, take: Callable[[dict, int], None]) -> None:
+    def _take(self, read: Callable[[bytes], _Read], payload: bytes, take: Callable[[_Read, int], None]) -> None:
         try:
             document = read(payload)
             with self._lock:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
-from typing import Literal
+from collections.abc import Callable, Mapping, Sequence
 
 import pydantic
 import rospy
 from paho.mqtt.client import MQTTMessage
 
-from construction_twin.mqtt.client import Broker, load_account
+from construction_twin.mqtt.client import Broker, load_account, subscriptions
 from construction_twin.mqtt.failures import ConnectionReport
-from construction_twin.mqtt.plain_client import PlainClient
+from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.node_shell import Shared
 from construction_twin.ros.shared.params import NodeSettings
@@ -27,7 +26,6 @@ class MqttSettings(NodeSettings):
 
     host: str
     port: int = pydantic.Field(gt=0, lt=65536)
-    protocol: Literal["5", "3.1.1"] = "5"
     prefix: str = "twin"
     account: str = ""
 
@@ -35,11 +33,7 @@ class MqttSettings(NodeSettings):
 def broker_of(settings: MqttSettings) -> Broker:
     """Return the broker; ConfigurationError when the account file cannot be used."""
     account = load_account(settings.account) if settings.account else None
-    if account is not None and account.password_file:
-        account.password()
-    if account is not None and account.ca_file:
-        account.context()
-    return Broker(settings.host, settings.port, settings.protocol, account=account)
+    return Broker(settings.host, settings.port, account=account)
 
 
 def check_broker(settings: MqttSettings, _robot: RobotModel, _shared: Shared) -> None:
@@ -59,14 +53,38 @@ def _say_later(sentence: str) -> None:
 
 
 def connect(
-    client: PlainClient,
+    client: FastClient,
     broker: Broker,
     report: ConnectionReport,
-    on_connect: Callable[..., None],
-    on_disconnect: Callable[..., None],
+    topics: Sequence[tuple[str, int]],
+    first: Callable[[], tuple[str, bytes, bool]],
     on_message: Mapping[str, Callable[[MQTTMessage], None]],
+    then: Callable[[], object] = lambda: None,
+    lost: Callable[[], object] = lambda: None,
 ) -> None:
-    """Connect to the broker, and serve the connection in a thread of its own, which makes all the calls."""
+    """Connect to the broker, and serve the connection in a thread of its own, which makes all the calls.
+
+    Args:
+        topics: What is subscribed, with its QoS.
+        first: Returns topic, payload and retain flag of the first message, whose answer shows if this account may write here.
+        then, lost: Called with the connection there, and gone.
+    """
+
+    def on_connect(client, _userdata, _flags, reason_code, properties) -> None:
+        if reason_code.is_failure:
+            report.refused(reason_code)
+            return
+        report.connected(client, properties)
+        topic, payload, retain = first()
+        client.subscribe(subscriptions(topics))
+        info = client.publish(topic, payload, qos=1, retain=retain)
+        report.watch_publish(client, topic, info.mid)
+        then()
+
+    def on_disconnect(_client, _userdata, _flags, reason_code, _properties) -> None:
+        report.lost(reason_code)
+        lost()
+
     report.watch(client)
     client.on_connect = on_connect
     client.on_disconnect = on_disconnect

@@ -1,8 +1,7 @@
 """What people do by MQTT: verdicts, `stop`, `pause`, `resume`, `reset`, `arm`, answers to the work's questions, speed limits.
 
-They have a connection of their own, and each kind has a queue and a thread of its own, so that a stop, a pause and a rejection wait
-for nothing else: no lock here is held by what shows, plans or computes. The gateway reads the same stops itself, so this one brakes
-along the path what the gateway brakes within its limits, and voids the plans that wait.
+They have a connection of their own, and each kind a queue and a thread, so that a stop, a pause and a rejection wait for nothing
+else. The gateway reads the same stops itself: this one brakes along the path, and voids the plans that wait.
 """
 
 from __future__ import annotations
@@ -61,8 +60,7 @@ class Services:
     Attributes:
         approve, reject: The executor's `review_plan`; a rejection may come twice, and asks no master.
         pressed: An `ActAsSeen` by verb; one that starts nothing may be called twice.
-        decide: The work's, which takes what a person decides.
-        limit_speed: Takes a person's speed limit, and may be called twice.
+        limit_speed: May be called twice.
     """
 
     approve: rospy.ServiceProxy
@@ -76,8 +74,8 @@ class Acts:
     """What carries out what people do.
 
     Attributes:
-        queues: Where requests wait, by name; a thread for each of them. A rejection never waits behind an approval, whose record
-            may wait for a disk, nor what lowers the speed limit behind what raises it.
+        queues: By name, a thread for each: a rejection never waits behind an approval, whose record may wait for a disk, nor what
+            lowers the speed limit behind what raises it.
     """
 
     def __init__(self, connection: Connection, services: Services):

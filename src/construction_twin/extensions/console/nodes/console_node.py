@@ -1,7 +1,6 @@
 """console_node: what operators and programs elsewhere see of a robot by MQTT, and what they ask for there.
 
-A node of its own: reading a long motion takes longer than the bridge's 4 ms, and checking one takes seconds. What people do (stop,
-pause, verdicts, ...) has a connection and threads of its own, see `acts`.
+A node of its own: reading a long motion takes longer than the bridge's 4 ms, and checking one takes seconds.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ import rospy
 from construction_twin import msg, srv
 from construction_twin.extensions.console.nodes.acts import Acts, Services
 from construction_twin.extensions.console.nodes.endpoint import Connection
-from construction_twin.extensions.console.nodes.feed import ConsoleFeed, Others, Poses, deployment_of
+from construction_twin.extensions.console.nodes.feed import ARM, EXPECTED, TWIN, ConsoleFeed, deployment_of
 from construction_twin.extensions.console.nodes.requests import ConsoleRequests, PoseJudge, RobotContext
 from construction_twin.extensions.console.nodes.shown_plan import ShownPlan
 from construction_twin.extensions.console.private_files import PrivateFiles
@@ -52,12 +51,11 @@ COLLECTED = 500_000
 
 
 class Settings(MqttSettings):
-    """Private parameters; see config/console_node.yaml. Folders are relative to ROS_HOME.
+    """Private parameters; see config/console_node.yaml. Folders are relative to ROS_HOME, empty: none.
 
     Attributes:
         self_collision: Empty: no joint values are found for poses that are dragged.
-        messages: Folder of the messages that outlast this node; empty: they do not.
-        private: Folder of what a console serves to whom is logged in; empty: no console was started.
+        private: Folder of what a console serves to whom is logged in.
     """
 
     trajectories: bool = True
@@ -99,12 +97,10 @@ class ConsoleNode:
             robot.base_link,
             connection,
             writer,
-            Poses(*(ports.poses.get(name) for name in (TWIN, ARM, EXPECTED))),
-            Others(
-                lambda: self.shown_plan.plan,
-                lambda: self.requests.closest(),
-                lambda: ports.connections("execution") > 0,
-            ),
+            ports.poses,
+            lambda: self.shown_plan.plan,
+            lambda: self.requests.closest(),
+            lambda: ports.connections("execution") > 0,
             deployment_of(ports.parameters["startup"], rospy.get_namespace().rstrip("/")),
             files,
             ros_home() / settings.messages / f"{robot.name}.json" if settings.messages else None,
@@ -221,7 +217,6 @@ def _feed(handler: Callable[[ConsoleFeed, Any], object]) -> Callable[[ConsoleNod
     return lambda node, message: handler(node.feed, message)
 
 
-TWIN, ARM, EXPECTED = "twin/joint_states", "physical/joint_states", "expected/joint_states"
 INTERFACE = Interface(
     report=ConsoleNode.report,
     parameters=(SharedParameter("work"), SharedParameter("startup")),
@@ -242,12 +237,17 @@ INTERFACE = Interface(
             "plan_caller", msg.PlanCaller, lambda node, message: node.shown_plan.on_caller(message), queue_size=5
         ),
         Subscription("review", msg.Review, ConsoleNode.on_review, queue_size=10),
-        Subscription("sync", msg.Sync, _feed(ConsoleFeed.on_sync), queue_size=1),
+        Subscription("sync", msg.Sync, lambda node, message: node.feed.on_sync(message), queue_size=1),
         Subscription("hold", msg.Hold, _feed(ConsoleFeed.on_hold), queue_size=1),
         Subscription("link", msg.Link, ConsoleNode.on_link, queue_size=5),
         Subscription("session_request", msg.SessionRequest, _feed(ConsoleFeed.on_session_request), queue_size=10),
         Subscription("speed_change", msg.SpeedChange, _feed(ConsoleFeed.on_speed_change), queue_size=50),
-        Subscription("speed_limit_in_force", msg.SpeedLimitInForce, _feed(ConsoleFeed.on_speed), queue_size=1),
+        Subscription(
+            "speed_limit_in_force",
+            msg.SpeedLimitInForce,
+            lambda node, message: node.feed.on_speed(message),
+            queue_size=1,
+        ),
     ),
 )
 # its threads take turns every millisecond: what computes a pose holds up no stop

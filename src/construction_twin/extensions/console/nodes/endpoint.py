@@ -1,8 +1,7 @@
 """Requests by MQTT, from the message to the answer: one `Endpoint` for each kind, and the `Connection` by which they come.
 
-A kind is a row (`mqtt.requests`), a model of its message (`link.requests`) and a handler; what all have in common is here.
-A message that cannot be read is refused and counted, and answered at a pace. What was asked for is carried out first and answered
-next; counts and log lines come after that, hold up nothing (`deferred_log`), and cannot fail it (`core.side_effects`).
+A kind is a row (`mqtt.requests`), a model of its message (`link.requests`) and a handler. What was asked for is carried out first
+and answered next; counts and log lines come after that, hold up nothing, and cannot fail it (`core.side_effects`).
 """
 
 from __future__ import annotations
@@ -28,9 +27,9 @@ from construction_twin.core.rate_limit import Pace, SenderLimits
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.link.requests import Request, read, read_document
-from construction_twin.mqtt.client import Broker, subscriptions
+from construction_twin.mqtt.client import Broker
+from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.mqtt.messages import MAX_IDENTITY_BYTES, Topics, account_of, identity_of
-from construction_twin.mqtt.plain_client import PlainClient
 from construction_twin.mqtt.requests import RequestKind, answer_limits
 from construction_twin.ros.shared.diagnostics import DeferredLog
 from construction_twin.ros.shared.mqtt_connection import connect, report_of
@@ -47,18 +46,15 @@ class Connection:
     """A connection of the node to the broker, served by a thread of its own; requests are heard and answered by it.
 
     Args:
-        client: Not connected yet.
         refuse: Counts a refused input; takes reason and sentence.
 
     Attributes:
-        endpoints: What takes the messages of each kind.
         counts: What became of requests, by the name of their kind and a word.
         side_effects: What ran beside a request, and failed: it fails neither the request nor the node, which may have a stop to
             carry out.
-        log: What `write_log` writes.
     """
 
-    def __init__(self, broker: Broker, client: PlainClient, topics: Topics, refuse: Callable[[str, str], None]):
+    def __init__(self, broker: Broker, client: FastClient, topics: Topics, refuse: Callable[[str, str], None]):
         self._broker, self._client, self.topics, self.refuse = broker, client, topics, refuse
         self._state = report_of(broker)
         self.endpoints: list[Endpoint] = []
@@ -69,15 +65,10 @@ class Connection:
         self.tell = self.side_effects.run
 
     def serve(
-        self,
-        kind: RequestKind,
-        read: Reader,
-        act: Handler,
-        queue: RequestQueue | NewestQueue | None = None,
-        limit: int = 0,
+        self, kind: RequestKind, read: Reader, act: Handler, queue: RequestQueue | NewestQueue | None = None
     ) -> None:
-        """Serve a kind of request, as of `Endpoint`; limit 0: the kind's own."""
-        self.endpoints.append(Endpoint(self, kind, read, act, queue, limit or kind.limit))
+        """Serve a kind of request, as of `Endpoint`."""
+        self.endpoints.append(Endpoint(self, kind, read, act, queue))
 
     def connect(
         self,
@@ -85,32 +76,11 @@ class Connection:
         then: Callable[[], object],
         heard: Mapping[str, Callable[[MQTTMessage], None]] = MappingProxyType({}),
     ) -> None:
-        """Connect, and whenever there is a connection subscribe and publish.
-
-        Args:
-            first: Returns topic, payload and retain flag of the first message: the broker's answer shows whether this account may
-                write here.
-            then: Publishes what else is retained.
-            heard: What takes the messages of further topics.
-        """
+        """Connect, as of `mqtt_connection`; `heard`: what takes the messages of further topics."""
         topics = [*((topic, 1) for topic in heard), *((each.topic, each.kind.qos) for each in self.endpoints)]
 
-        def on_connect(client, _userdata, _flags, reason_code, properties) -> None:
-            if reason_code.is_failure:
-                self._state.refused(reason_code)
-                return
-            self._state.connected(client, properties)
-            topic, payload, retain = first()
-            client.subscribe(subscriptions(client, topics))
-            info = client.publish(topic, payload, qos=1, retain=retain)
-            self._state.watch_publish(client, topic, info.mid)
-            then()
-
-        def on_disconnect(_client, _userdata, _flags, reason_code, _properties) -> None:
-            self._state.lost(reason_code)
-
         on_message = {**heard, **{endpoint.topic: endpoint.on_message for endpoint in self.endpoints}}
-        connect(self._client, self._broker, self._state, on_connect, on_disconnect, on_message)
+        connect(self._client, self._broker, self._state, topics, first, on_message, then)
 
     def disconnect(self) -> None:
         """Leave the broker, which publishes no last will then."""
@@ -161,8 +131,6 @@ class Endpoint:
         read: Model of its message, or what takes the message's JSON object and returns what is asked for; PayloadError.
         act: Does what is asked for; may raise PayloadError, which is refused and counted then, and ServiceSilentError.
         queue: Where it waits. None: it is carried out where it arrives.
-        limit: Longest message that is read [bytes].
-        malformed: How often an account is told that what it has sent cannot be read.
     """
 
     connection: Connection
@@ -170,7 +138,6 @@ class Endpoint:
     read: Reader
     act: Handler
     queue: RequestQueue | NewestQueue | None
-    limit: int
     malformed: SenderLimits = field(default_factory=answer_limits)
 
     @property
@@ -201,12 +168,7 @@ class Endpoint:
 
 
 class Incoming:
-    """One request: its message, and all that is done with it.
-
-    Attributes:
-        account: Of the topic; "" where it names none.
-        arrived: The moment when it did.
-    """
+    """One request: its message, and all that is done with it. `account` is "" where the topic names none."""
 
     def __init__(self, endpoint: Endpoint, account: str, payload: bytes, retained: bool):
         self._endpoint, self._connection, self.kind = endpoint, endpoint.connection, endpoint.kind
@@ -223,12 +185,12 @@ class Incoming:
     def identity(self) -> dict[str, str]:
         """What an answer repeats of it, also when it is refused, with its account."""
         named = dict.fromkeys(("account", "sender", "reviewer"), self.account) if self.account else {}
-        return identity_of(self._payload, self._document, max(MAX_IDENTITY_BYTES, self._endpoint.limit)) | named
+        return identity_of(self._payload, self._document, max(MAX_IDENTITY_BYTES, self.kind.limit)) | named
 
     def read(self) -> None:
         """Read what is asked for; PayloadError as of `link.requests`."""
         kind, how = self.kind, self._endpoint.read
-        self._document = read_document(self._payload, self._retained, kind.name, self._endpoint.limit, kind.limited_by)
+        self._document = read_document(self._payload, self._retained, kind.name, kind.limit, kind.limited_by)
         self.asked = read(how, self._document, kind.name) if isinstance(how, type) else how(self._document)
 
     def carry_out(self) -> bytes:
@@ -304,8 +266,7 @@ class Incoming:
 
 
 class NewestQueue:
-    """A queue in which only the newest request of each sender waits: what it asked for before is not worth doing any more, nor what
-    comes too often worth an answer.
+    """A queue in which only the newest request of each sender waits, and what comes too often gets no answer.
 
     Args:
         most: Senders that may wait at once.
@@ -347,9 +308,7 @@ class NewestQueue:
 
 
 class RequestQueue:
-    """Requests are carried out one after the other, each once, each answered, and nobody alone holds up the others.
-
-    They come from the connection's thread, and are carried out in another.
+    """Requests of the connection's thread are carried out in another one after the other, each once, each answered.
 
     Args:
         most: That may wait.

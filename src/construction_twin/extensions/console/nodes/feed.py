@@ -1,7 +1,6 @@
 """What is told by MQTT of the robot's state: `view`, the status line, the scene, the tasks of the building model, messages.
 
-Everything here was published on ROS already; it is put into the words and files that a browser can use. The poses come in bundles,
-see `LatestPose`, so that `view` costs the bridge no more than any other subscriber does.
+All was published on ROS already; the poses come in bundles, so that `view` costs the bridge no more than another subscriber.
 """
 
 from __future__ import annotations
@@ -10,10 +9,12 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Generic, TypeVar
+
+from genpy import Message
 
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
 from construction_twin.core.freshness import present
@@ -31,22 +32,20 @@ from construction_twin.core.reports import (
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.states import ACTIVE
-from construction_twin.extensions.console.message_history import APPROVED, REJECTED
+from construction_twin.extensions.console.message_board import APPROVED, REJECTED, MessageBoard
 from construction_twin.extensions.console.nodes.endpoint import Connection
-from construction_twin.extensions.console.nodes.messages import MessageBoard
 from construction_twin.extensions.console.nodes.shown_plan import PATH_POINTS, segment_ends
 from construction_twin.extensions.console.private_files import PrivateFiles
 from construction_twin.extensions.console.remote_review import PathView, scene_view
 from construction_twin.extensions.console.remote_view import ClosestView, PlanProgress, PoseView, Shown, ViewWriter
 from construction_twin.extensions.console.remote_view import Seen as ViewInputs
+from construction_twin.link.requests import Acknowledgement
+from construction_twin.mqtt.requests import ACKNOWLEDGE
 from construction_twin.msg import (
     Execution,
     Hold,
-    Link,
     Plan,
     Review,
-    SpeedLimitInForce,
-    Sync,
     WorkTasks,
 )
 from construction_twin.msg import Scene as SceneMsg
@@ -57,6 +56,7 @@ from construction_twin.review.rehearsal_report import FAILED, PASSED, RehearsalR
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
+from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.scene.objects import Scene
@@ -68,7 +68,8 @@ from construction_twin.views.texts import hold_cause
 LOOK, REPEAT = 0.2, 1.0
 #: Of so many plans the tool's path is kept until one is played.
 PATHS = 8
-#: A pose that is older counts as not known on `view` [s].
+#: Topics of the poses on `view`; one that is older counts as not known [s].
+TWIN, ARM, EXPECTED = "twin/joint_states", "physical/joint_states", "expected/joint_states"
 MAX_POSE_AGE = 0.25
 #: What `sync`, `link` and `speed_limit_in_force` repeat by themselves counts as lost after so long [s].
 SYNC_AGE, LINK_AGE, SPEED_AGE = 0.5, 3.0, 1.0
@@ -78,39 +79,18 @@ _UNDER_WAY = frozenset(state.name for state in ACTIVE)
 _Report = TypeVar("_Report")
 
 
-@dataclass(frozen=True)
-class Poses:
-    """Where the newest poses come from; None where the robot has no such stream."""
-
-    twin: LatestPose | None
-    arm: LatestPose | None
-    expected: LatestPose | None = None
-
-
-@dataclass(frozen=True)
-class Others:
-    """What `view` shows that other parts of the node know.
-
-    Attributes:
-        plan: Returns the id of the plan under review; empty: none.
-        closest: Returns the closest two bodies; None: not measured.
-        executor_is_there: Returns whether the publisher of `execution` is connected.
-    """
-
-    plan: Callable[[], str] = lambda: ""
-    closest: Callable[[], ClosestView | None] = lambda: None
-    executor_is_there: Callable[[], bool] = lambda: True
-
-
 class _Newest(Generic[_Report]):
     """The newest report of a kind, and when it came."""
 
-    def __init__(self):
+    def __init__(self, kind: type[_Report]):
+        self._kind = kind
         self._newest: tuple[_Report, float] | None = None
 
-    def take(self, report: _Report) -> None:
-        """Keep a report."""
+    def take(self, message: Message) -> _Report:
+        """Keep the report of a message, and return it."""
+        report = from_msg(self._kind, message)
         self._newest = report, time.monotonic()
+        return report
 
     def shown(self, oldest: float = math.inf) -> Shown | None:
         """Return it with its age; None: there is none, or it is older than that [s]."""
@@ -124,14 +104,11 @@ class ConsoleFeed:
     """Keeps what is retained, and sends it again where the broker may have forgotten it. Topics come in threads of their own.
 
     Args:
-        base_link: Frame of the scene's objects.
+        plan: Returns the id of the plan under review; empty: none.
         deployment: What was started; None: what the start waits for is not told.
         files: Where the scene's meshes go; None: no console was started with this robot.
         messages: Where the messages are kept; None: only in memory.
         clock: Returns the time of day [s since 1970].
-
-    Attributes:
-        messages: What a person must not miss.
     """
 
     def __init__(
@@ -139,22 +116,24 @@ class ConsoleFeed:
         base_link: str,
         connection: Connection,
         writer: ViewWriter,
-        poses: Poses,
-        others: Others,
+        poses: Mapping[str, LatestPose],
+        plan: Callable[[], str] = lambda: "",
+        closest: Callable[[], ClosestView | None] = lambda: None,
+        executor_is_there: Callable[[], bool] = lambda: True,
         deployment: Deployment | None = None,
         files: PrivateFiles | None = None,
         messages: Path | None = None,
         clock: Callable[[], float] = time.time,
     ):
         self._topics, self._base_link = connection.topics, base_link
-        self._connection, self._writer, self._poses, self._others = connection, writer, poses, others
+        self._connection, self._writer, self._poses = connection, writer, poses
+        self._plan, self._closest, self._executor_is_there = plan, closest, executor_is_there
         self._deployment, self._files = deployment, files
         # of the plan's progress, of the writer, of what is retained
         self._lock, self._writing, self._telling = threading.Lock(), threading.Lock(), threading.RLock()
-        self._sync: _Newest[SyncReport] = _Newest()
-        self._link: _Newest[LinkReport] = _Newest()
-        self._execution: _Newest[ExecutionReport] = _Newest()
-        self._speed: _Newest[SpeedReport] = _Newest()
+        self._sync, self._link, self._speed = _Newest(SyncReport), _Newest(LinkReport), _Newest(SpeedReport)
+        self.on_sync, self.on_link, self.on_speed = self._sync.take, self._link.take, self._speed.take
+        self._execution = _Newest(ExecutionReport)
         self._progress = PlanProgress()
         #: Of the newest plans, by id: the payload of `path` while that plan is played.
         self._paths: dict[str, bytes] = {}
@@ -164,7 +143,13 @@ class ConsoleFeed:
         self._work: WorkReport | None = None
         self._hold = HoldReport()
         self._arm_seen = self._twin_seen = False
-        self.messages = MessageBoard(partial(self._keep, self._topics.messages), connection, messages, clock)
+        tell = partial(self._keep, self._topics.messages)
+        self.messages = MessageBoard(tell, connection.refuse, messages, clock)
+        connection.serve(
+            ACKNOWLEDGE,
+            Acknowledgement,
+            lambda asked, request: Outcome(*self.messages.acknowledge(asked.message, request.account)),
+        )
         self._looked = self._told_at = float("-inf")
         self._told = b""
 
@@ -187,7 +172,7 @@ class ConsoleFeed:
         person = message.reviewer
         if not message.approved:
             rejected = Sentence("{person} rejected a plan: {reason}", person=person, reason=message.reason)
-            self.messages.on_act(REJECTED, message.header.stamp, rejected)
+            self.messages.on_act(REJECTED, message.header.stamp.to_sec(), rejected)
             return
         sentence = Sentence("{person} approved a plan", person=person)
         if rehearsal is not None and rehearsal.engine and rehearsal.plan_hash == message.plan_hash:
@@ -197,26 +182,13 @@ class ConsoleFeed:
                 "{person} approved a plan. Its rehearsal ({engine}): {found}",
                 person=person, engine=rehearsal.engine, found=found,
             )  # fmt: skip
-        self.messages.on_act(APPROVED, message.header.stamp, sentence)
-
-    def on_sync(self, message: Sync) -> None:
-        """Take the gate's report."""
-        self._sync.take(from_msg(SyncReport, message))
-
-    def on_link(self, message: Link) -> None:
-        """Take the bridge's report."""
-        self._link.take(from_msg(LinkReport, message))
-
-    def on_speed(self, message: SpeedLimitInForce) -> None:
-        """Take which speed limit is in force."""
-        self._speed.take(from_msg(SpeedReport, message))
+        self.messages.on_act(APPROVED, message.header.stamp.to_sec(), sentence)
 
     def on_execution(self, message: Execution) -> None:
         """Take the executor's report; tell the tool's path of the plan that is under way, none once it has ended."""
-        report = from_msg(ExecutionReport, message)
         with self._lock:
+            report = self._execution.take(message)
             self._progress.on_report(report)
-        self._execution.take(report)
         with self._telling:
             self._playing = report.plan_id if report.text in _UNDER_WAY else ""
             self._tell_path()
@@ -235,7 +207,7 @@ class ConsoleFeed:
             sentence = Sentence("{person} asked for arming. It lifts: {lifts}", **values)
         else:
             sentence = Sentence("{person} asked for a reset. It lifts: {lifts}", **values)
-        self.messages.on_act(asked.verb, message.stamp, sentence)
+        self.messages.on_act(asked.verb, message.stamp.to_sec(), sentence)
 
     def on_speed_change(self, message: SpeedChangeMessage) -> None:
         """Take that a person has set the speed limit of people."""
@@ -291,7 +263,7 @@ class ConsoleFeed:
 
     def twin(self) -> Sequence[float]:
         """Return the twin's joint values [rad], [m]; empty while they are not known."""
-        pose = _pose_view(self._poses.twin)
+        pose = _pose_view(self._poses.get(TWIN))
         return pose.positions if pose is not None else ()
 
     def is_engaged(self) -> bool:
@@ -325,21 +297,21 @@ class ConsoleFeed:
         with self._lock:
             progress = self._progress.at(now_ns() / NANOSECONDS)
         return ViewInputs(
-            twin=_pose_view(self._poses.twin),
-            arm=_pose_view(self._poses.arm),
-            expected=_pose_view(self._poses.expected),
+            twin=_pose_view(self._poses.get(TWIN)),
+            arm=_pose_view(self._poses.get(ARM)),
+            expected=_pose_view(self._poses.get(EXPECTED)),
             sync=sync,
             link=self._link.shown(LINK_AGE),
             execution=execution,
-            plan=self._others.plan(),
-            closest=self._others.closest(),
+            plan=self._plan(),
+            closest=self._closest(),
             progress=progress,
             hold=self._hold if sync is not None else HoldReport(),
             speed=speed.report if speed is not None else None,
         )
 
     def _present_execution(self) -> Shown[ExecutionReport] | None:
-        return self._execution.shown() if self._others.executor_is_there() else None
+        return self._execution.shown() if self._executor_is_there() else None
 
     def publish_status_line(self) -> None:
         """Send the status line when it has changed, or was not sent for a while."""
@@ -363,7 +335,7 @@ class ConsoleFeed:
         heard = ReportsNow(
             *words,
             bare=link is not None and link.report.gateway_kind == "plc",
-            plan=self._others.plan(),
+            plan=self._plan(),
             obstacle="" if execution is None else execution.report.approval_obstacle,
             cause="" if sync is None else hold_cause(self._hold),
             engaged=execution is not None and bool(execution.report.engaged),
@@ -404,11 +376,7 @@ def _pose_view(stream: LatestPose | None) -> PoseView | None:
 
 
 def deployment_of(started: Mapping[str, object] | None, namespace: str) -> Deployment | None:
-    """Return what bringup has told the node `startup`; None where that does not run.
-
-    Args:
-        started: The node's parameters.
-    """
+    """Return what bringup has told the node `startup` by its parameters; None where that does not run."""
     fields = ("arm", "broker", "rsi", "gateway", "gateway_kind")
     if started is None or not set(fields) <= set(started):
         return None

@@ -1,9 +1,4 @@
-"""Motions from planners elsewhere, plan and IK requests: handed to the planner's own services, and answered. Nothing here moves.
-
-What a plan service makes waits for a person's verdict as any plan. Motions and plan requests are carried out in their turn
-(`RequestQueue`); the pose of an IK request, which is dragged, is worth solving only while it is the newest of its account, in a
-thread of its own (`NewestQueue`).
-"""
+"""Motions from planners elsewhere, plan and IK requests: handed to the planner's own services, and answered. Nothing here moves."""
 
 from __future__ import annotations
 
@@ -55,13 +50,7 @@ CLOSEST_PERIOD = 0.2
 
 @dataclass(frozen=True)
 class RobotContext:
-    """What these requests need to know of the robot.
-
-    Attributes:
-        twin: Returns the twin's joint values [rad], [m]; empty while they are not known.
-        has_work: Returns whether a node `work` runs.
-        is_engaged: Returns whether only the way back can be planned.
-    """
+    """What these requests need to know of the robot: `twin` returns joint values [rad], [m], none while they are not known."""
 
     twin: Callable[[], Sequence[float]]
     has_work: Callable[[], bool] = lambda: False
@@ -71,12 +60,10 @@ class RobotContext:
 class PoseJudge:
     """Joint values for a pose that is dragged, and how close the arm is to something, for one thread at a time.
 
-    What computes with the robot is imported at the first question: most starts have no console, and the node that shows the state
-    of everything must not come up later for it.
+    What computes with the robot is imported at the first question: most starts have no console.
 
     Args:
         self_collision: YAML of the link pairs that are not checked; empty: nothing can be judged.
-        scene: Returns the present scene, None while it is not known.
     """
 
     def __init__(self, robot: RobotModel, self_collision: str, scene: Callable[[], Scene | None]):
@@ -135,8 +122,6 @@ class ConsoleRequests:
     """What carries out motions, plan and IK requests.
 
     Args:
-        services: Those that make plans, by kind of request.
-        plan_trajectory: The planner's, which checks and times a motion.
         max_trajectory_bytes: Longest motion that is read; 0: neither motions nor plan requests are taken.
 
     Attributes:
@@ -165,7 +150,7 @@ class ConsoleRequests:
         if max_trajectory_bytes:
             for kind in (NAMELESS_TRAJECTORY, TRAJECTORY):
                 read = partial(extension("planners.remote_trajectory").parse_trajectory, joints=joints)
-                connection.serve(kind, read, self._check_motion, self.queue, max_trajectory_bytes)
+                connection.serve(replace(kind, limit=max_trajectory_bytes), read, self._check_motion, self.queue)
             connection.serve(PLAN_REQUEST, partial(read_goal, joints=joints), self._plan, self.queue)
 
     # -- motions
@@ -219,12 +204,11 @@ class ConsoleRequests:
     def look_around(self) -> None:
         """Find the two bodies that are closest at the twin's pose."""
         q = tuple(self._around.twin())
-        found = None
+        clearance, found, problem = None, None, ""
         try:
             clearance = self._judge.closest(q) if q else None
-            problem = ""
         except (ConfigurationError, SceneError) as error:
-            clearance, problem = None, str(error)
+            problem = str(error)
         if problem and problem != self._problem:
             self._connection.refuse("closest", problem)
         self._problem = problem
@@ -235,10 +219,7 @@ class ConsoleRequests:
     def closest(self) -> ClosestView | None:
         """Return what `look_around` found last, with its age."""
         found = self._closest
-        if found is None:
-            return None
-        view, at = found
-        return ClosestView(view.distance, view.between, view.point, time.monotonic() - at)
+        return None if found is None else replace(found[0], age=time.monotonic() - found[1])
 
     def run(self, looks_around: bool) -> None:
         """Answer poses until shutdown, and look around between them."""
@@ -251,11 +232,9 @@ class ConsoleRequests:
 
 
 def source_of(says: str, sender: str, proven: bool) -> str:
-    """Return who asked, for the reviewer.
+    """Return who asked, for the reviewer, with what the sender `says` of itself.
 
     Args:
-        says: What the sender says of itself; empty: nothing.
-        sender: The account in the topic's name; empty when there is none.
         proven: The broker knows accounts, and by a site's rules only this one writes on that topic.
     """
     if not sender:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 from construction_twin.core.errors import ConstructionTwinError
@@ -23,7 +23,7 @@ from construction_twin.extensions.console.remote_review import (
     SwitchView,
     UseView,
 )
-from construction_twin.msg import Link, Plan, PlanCaller, Rehearsal, Review
+from construction_twin.msg import Link, Plan, PlanCaller, Rehearsal, Review, Signal
 from construction_twin.review.rehearsal_report import RehearsalReport, is_whole
 from construction_twin.robot.segments import segments_content
 from construction_twin.ros.messages.convert import plan_from_msg
@@ -42,7 +42,7 @@ class ShownPlan:
         tool: Hash of the tool file, with which a rehearsal counts; empty: no tool.
 
     Attributes:
-        rehearsal: The newest one that is whole; None: there was none.
+        rehearsal: The newest one that is whole.
     """
 
     def __init__(self, connection: Connection, tool: str = ""):
@@ -155,15 +155,9 @@ class ShownPlan:
 
 
 def plan_view(message: Plan, tool: str = "") -> PlanView:
-    """Return what is shown of a plan; what a planner has not measured is left empty.
+    """Return what is shown of a plan; PlanningError if a work plan is not what its hash says.
 
-    Numbers cross unchanged. Every measured plan has its fractions of the velocity limits, so their absence means that none was.
-
-    Args:
-        tool: Hash of the tool file that counts; empty: no tool.
-
-    Raises:
-        PlanningError: If a work plan is not what its hash says.
+    Every measured plan has its fractions of the velocity limits, so their absence means that nothing was measured.
     """
     points, is_work = message.trajectory.points, bool(message.segments)
     clearance = ClearanceView(
@@ -203,14 +197,9 @@ def segment_views(message: Plan) -> list[SegmentView]:
             end=segment.end,
             tool_path_end=end,
             engaged=segment.engaged,
-            requires={signal.name: signal.value for signal in segment.requires},
+            requires=_values(segment.requires),
             switches=[
-                SwitchView(
-                    switch.output,
-                    switch.value,
-                    {signal.name: signal.value for signal in switch.confirm},
-                    switch.timeout,
-                )
+                SwitchView(switch.output, switch.value, _values(switch.confirm), switch.timeout)
                 for switch in segment.switches
             ],
             scene=segment.scene,
@@ -243,6 +232,10 @@ def _trajectory(message: Plan) -> dict[str, list]:
         "velocities": [point.velocities for point in points],
         "accelerations": [point.accelerations for point in points],
     }
+
+
+def _values(signals: Iterable[Signal]) -> dict[str, bool]:
+    return {signal.name: signal.value for signal in signals}
 
 
 def _xyz(point) -> tuple[float, float, float]:

@@ -1,8 +1,7 @@
-"""The link on the fast client and on paho's public interface: the same assertions on both, over a real broker."""
+"""Streams and what is too large for the broker, over a real one; the paho that is needed."""
 
 from __future__ import annotations
 
-import logging
 import threading
 
 import pytest
@@ -11,24 +10,12 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.reasoncodes import ReasonCode
 from processes import ROOT, BrokerProcess, wait_until
-from service_cell import PATIENT, cell, motion, stream
 
-from construction_twin.gateway import mqtt_side
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.mqtt import fast_client
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
 from construction_twin.mqtt.failures import ConnectionReport
-from construction_twin.mqtt.fast_client import DirectClient, FastClient, is_tested
-from construction_twin.mqtt.plain_client import PlainClient
-
-
-@pytest.fixture(params=["fast", "plain"])
-def kind(request, monkeypatch):
-    """Both ways: with the installed paho as one that was tested, and as one that was not."""
-    versions = (paho_version,) if request.param == "fast" else ()
-    monkeypatch.setattr(fast_client, "TESTED_VERSIONS", versions)
-    is_tested.cache_clear()
-    yield request.param
-    is_tested.cache_clear()
+from construction_twin.mqtt.fast_client import DirectClient, FastClient
 
 
 def test_the_pinned_paho_is_the_installed_one_and_was_tested():
@@ -37,29 +24,19 @@ def test_the_pinned_paho_is_the_installed_one_and_was_tested():
     assert paho_version in fast_client.TESTED_VERSIONS
 
 
-def test_an_untested_paho_is_warned_of_once_and_its_private_parts_are_left_alone(monkeypatch, caplog):
+def test_an_untested_paho_is_refused_in_one_sentence(monkeypatch):
     monkeypatch.setattr(fast_client, "paho_version", "2.9.9")
-    is_tested.cache_clear()
-    clients = [make_client(Broker(), unique_id("arm", "a"), "status", direct=direct) for direct in (True, False, True)]
-    is_tested.cache_clear()
-    assert [type(client) for client in clients] == [PlainClient] * 3
-    said = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
-    assert len(said) == 1 and "2.9.9" in said[0] and "tested: 2.2.0" in said[0]
+    with pytest.raises(
+        ConfigurationError, match=r"paho-mqtt: found '2\.9\.9', expected version 2\.2\.0: install that one"
+    ):
+        Broker()
 
 
-def test_a_tested_paho_is_used_in_full_and_without_a_word(caplog):
-    is_tested.cache_clear()
-    assert isinstance(make_client(Broker(), "a", "status", direct=True), DirectClient)
-    assert isinstance(make_client(Broker(), "b", "status"), FastClient)
-    assert caplog.records == []
-
-
-@pytest.mark.parametrize("protocol", ["5", "3.1.1"])
 @pytest.mark.parametrize("direct", [True, False])
-def test_a_stream_arrives_whole_in_order_and_with_its_properties(broker, topics, kind, protocol, direct):
-    sender = make_client(Broker(port=broker, protocol=protocol), unique_id("a", "s"), "w/1", direct=direct)
-    receiver = make_client(Broker(port=broker, protocol=protocol), unique_id("a", "r"), "w/2", direct=direct)
-    assert isinstance(sender, FastClient) == (kind == "fast")
+def test_a_stream_arrives_whole_in_order_and_with_its_properties(broker, topics, direct):
+    sender = make_client(Broker(port=broker), unique_id("a", "s"), "w/1", direct=direct)
+    receiver = make_client(Broker(port=broker), unique_id("a", "r"), "w/2", direct=direct)
+    assert isinstance(sender, DirectClient) == direct
     got, subscribed, ended = [], threading.Event(), threading.Event()
 
     def take(payload, pairs, retained):
@@ -68,7 +45,7 @@ def test_a_stream_arrives_whole_in_order_and_with_its_properties(broker, topics,
             ended.set()
 
     receiver.on_stream(topics.command, take)
-    receiver.on_connect = lambda client, *rest: client.subscribe(subscriptions(client, [(topics.command, 0)]))
+    receiver.on_connect = lambda client, *rest: client.subscribe(subscriptions([(topics.command, 0)]))
     receiver.on_subscribe = lambda *rest: subscribed.set()
     sender.send_stream(topics.command, b"before there is a connection: dropped")
     for client in (receiver, sender):
@@ -84,14 +61,14 @@ def test_a_stream_arrives_whole_in_order_and_with_its_properties(broker, topics,
     for client in (sender, receiver):
         client.disconnect()
         client.loop_stop()
-    beside = [[("seq", str(number)), ("session", "s1")] if protocol == "5" else [] for number in range(200)]
+    beside = [[("seq", str(number)), ("session", "s1")] for number in range(200)]
     assert [pairs for _, pairs, _ in got[:200]] == beside
     assert [payload for payload, _, _ in got[:200]] == [b"+%03d.000" % number for number in range(200)]
-    # only MQTT 5 shows the flag on what is published while one listens
-    assert got[200] == (b"kept", [], protocol == "5")
+    # the flag shows on what is published while one listens
+    assert got[200] == (b"kept", [], True)
 
 
-def test_what_is_larger_than_the_broker_takes_is_not_sent_and_said_once_with_both_sizes(tmp_path, topics, kind):
+def test_what_is_larger_than_the_broker_takes_is_not_sent_and_said_once_with_both_sizes(tmp_path, topics):
     config = tmp_path / "mosquitto.conf"
     config.write_text((ROOT / "config" / "mosquitto.conf").read_text() + "\nmax_packet_size 2000\n")
     process, said, lost = BrokerProcess(config), [], []
@@ -125,31 +102,7 @@ def test_where_somebody_else_says_why_there_never_was_a_connection_only_its_loss
     report = ConnectionReport(Broker(port=1), said.append, first=False)
     report.failed(ConnectionRefusedError())
     assert "nobody listens there" in report.sentence and said == []
-    report.connected(PlainClient(CallbackAPIVersion.VERSION2), None)
+    report.connected(FastClient(CallbackAPIVersion.VERSION2), None)
     report.lost(ReasonCode(PacketTypes.DISCONNECT, "Server shutting down"))
     report.failed(ConnectionRefusedError())
     assert ["lost" in said[0], "nobody listens there" in said[1]] == [True, True]
-
-
-def test_an_armed_gateway_carries_out_the_stream_and_reports_states(broker, topics, kind, monkeypatch):
-    made = []
-
-    def make(*given, **more):
-        made.append(make_client(*given, **more))
-        return made[-1]
-
-    monkeypatch.setattr(mqtt_side, "make_client", make)
-    with cell(broker, topics, config=PATIENT) as (service, controller, client):
-        assert [isinstance(one, FastClient) for one in made] == [kind == "fast"]
-        assert client.arm(PATIENT)["ok"]
-        stream(client, controller, (motion(k) for k in range(150)))
-        client.wait_for_status(state="following")
-        wait_until(lambda: abs(controller.measured[0] - motion(100)[0]) < 0.02, what="motion")
-        states = client.on(topics.state)
-        assert len(states) > 100
-        sequence = [int(dict(message.properties.UserProperty)["seq"]) for message in states]
-        assert sequence == sorted(sequence)
-        assert client.control("stop")["ok"]
-        client.wait_for_status(state="holding", fault=True)
-        assert client.control("reset")["ok"]
-        assert service.failure == ""

@@ -1,0 +1,205 @@
+"""The messages that a person must not miss: what the arm stood still for and what people did, with who took note of it.
+
+Told in their order, kept in a file. Times are in s since 1970, UTC.
+"""
+
+from __future__ import annotations
+
+import threading
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pydantic
+
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.files import read_file, write_whole
+from construction_twin.core.records import dumped
+from construction_twin.core.reports import SpeedChange
+from construction_twin.core.sentences import Sentence, told
+from construction_twin.core.units import NANOSECONDS
+from construction_twin.views.status_line import Level, Line
+
+#: Messages that are kept, the newest; and the largest file that is read [bytes].
+MOST, MOST_BYTES = 100, 4 << 20
+#: A line must stand for so long to be a message [s]: a start passes through many.
+STANDS = 1.0
+#: Topic of what people did.
+PERSON = "person"
+#: For these a person is waited for as a matter of course: they are no messages.
+ORDINARY = (
+    ("execution", "REVIEW"), ("execution", "PAUSED"),
+    ("work", "planned"), ("work", "ready"), ("work", "proposed"),
+)  # fmt: skip
+#: States of lines about what people did, beside the verb of a `SessionRequest`.
+APPROVED, REJECTED, RAISED, LOWERED = "approved", "rejected", "raised", "lowered"
+#: Who drags the limit down lowers it several times a second: what follows the last step within this time is the same message [s].
+DRAGGED = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Message:
+    """One message of <prefix>/<robot>/messages.
+
+    Attributes:
+        id: Unique at this robot.
+        at: When it began [s since 1970].
+        line: What it says, as in the status line.
+        until: When it ended [s since 1970]; null while it lasts. An act of a person ends at once.
+        acknowledged_by, acknowledged_at: Who has taken note of it, by account, and when; "" and null: nobody yet.
+    """
+
+    id: str
+    at: float
+    line: Line
+    until: float | None = None
+    acknowledged_by: str = ""
+    acknowledged_at: float | None = None
+
+
+_Messages = pydantic.TypeAdapter(tuple[Message, ...])
+
+
+class MessageBoard:
+    """The newest messages, oldest first, for several threads.
+
+    Args:
+        tell: Takes the messages as JSON: at the first look, and after each change.
+        refuse: Takes as what, and why, a file that cannot be read or written is counted.
+        file: Where they are kept; None: only in memory.
+        clock: Returns the time of day [s since 1970].
+    """
+
+    def __init__(
+        self,
+        tell: Callable[[bytes], object],
+        refuse: Callable[[str, str], object],
+        file: Path | None,
+        clock: Callable[[], float],
+    ):
+        self._tell, self._refuse, self._file, self._clock = tell, refuse, file, clock
+        # held while it is told: what is retained must not be an older one, told by another thread
+        self._lock = threading.Lock()
+        #: The newest message of a lowered speed limit: its id, the change, and what the limit was before the first step of it.
+        self._lowered: tuple[str, SpeedChange, float] | None = None
+        #: What stands, by what tells it from another: since when, and the id of its message once it is one.
+        self._standing: dict[tuple[str, ...], tuple[float, str]] = {}
+        #: Another tuple after each change.
+        self.messages = self._written = self._kept()
+        self._told: tuple[Message, ...] | None = None
+
+    def _kept(self) -> tuple[Message, ...]:
+        """Return the messages of the file; those that lasted have ended with the last word of the program before."""
+        try:
+            found = _Messages.validate_json(read_file(self._file, MOST_BYTES)) if self._file is not None else ()
+        except FileNotFoundError:
+            return ()
+        except (OSError, ConfigurationError, pydantic.ValidationError) as error:
+            why = "it is not as console_node wrote it" if isinstance(error, pydantic.ValidationError) else error
+            self._refuse("messages", f"{self._file}: {why}; the messages begin anew")
+            return ()
+        last = max((message.at for message in found), default=0.0)
+        return tuple(message if message.until is not None else replace(message, until=last) for message in found)
+
+    @contextmanager
+    def _changing(self) -> Iterator[None]:
+        with self._lock:
+            yield
+            if self._told is not self.messages:
+                self._told = self.messages
+                self._tell(dumped(self.messages))
+
+    def on_lines(self, lines: Sequence[Line]) -> None:
+        """Take the status line as it is now."""
+        now, urgent = self._clock(), {_identity(line): line for line in lines if _is_message(line)}
+        with self._changing():
+            for gone in self._standing.keys() - urgent.keys():
+                self._replace(self._standing.pop(gone)[1], until=now)
+            for key, line in urgent.items():
+                since, id_ = self._standing.setdefault(key, (now, ""))
+                if not id_ and now - since >= STANDS:
+                    self._standing[key] = since, self._add(line, since)
+
+    def on_act(self, act: str, at: float, sentence: str) -> None:
+        """Take what a person did. What is told again is not new."""
+        with self._changing():
+            self._add_act(act, at, sentence)
+
+    def _add_act(self, act: str, at: float, sentence: str) -> None:
+        known = ((message.at, message.line.topic, message.line.state) for message in self.messages)
+        if (at, PERSON, act) not in known:
+            self._add(_act(act, sentence), at, until=at)
+
+    def on_speed(self, change: SpeedChange) -> None:
+        """Take that a person has set the speed limit of people; what one person drags it down is one message."""
+        at, act = change.stamp / NANOSECONDS, RAISED if change.limit > change.before else LOWERED
+        with self._changing():
+            newest = self.messages[-1].id if self.messages else ""
+            dragged, self._lowered = self._lowered, None
+            if act == LOWERED and dragged is not None and dragged[0] == newest and _goes_on(dragged[1], change):
+                self._lowered = newest, change, dragged[2]
+                self._replace(newest, at=at, until=at, line=_act(act, _speed_words(change, dragged[2])))
+                return
+            self._add_act(act, at, _speed_words(change, change.before))
+            if act == LOWERED:
+                self._lowered = self.messages[-1].id, change, change.before
+
+    def acknowledge(self, id_: str, account: str) -> tuple[bool, Sentence]:
+        """Take that a person has read a message; return whether it is new, and a sentence."""
+        with self._changing():
+            found = next((message for message in self.messages if message.id == id_), None)
+            if found is None:
+                return False, Sentence("there is no message {id}: it is older than those that are kept", id=repr(id_))
+            if found.acknowledged_by:
+                return False, Sentence("{account} has acknowledged it already", account=found.acknowledged_by)
+            self._replace(id_, acknowledged_by=account, acknowledged_at=self._clock())
+            return True, Sentence("acknowledged by {account}", account=account)
+
+    def write(self) -> None:
+        """Write the file where something has changed, for a thread that may wait for a disk."""
+        with self._lock:
+            if self._file is None or self._written is self.messages:
+                return
+            self._written = self.messages
+        try:
+            write_whole(self._file, dumped(self._written))
+        except OSError as error:
+            self._refuse("messages", f"{self._file} was not written: {error.strerror or error}")
+
+    def _add(self, line: Line, at: float, until: float | None = None) -> str:
+        message = Message(id=uuid.uuid4().hex, at=at, line=line, until=until)
+        self.messages = (*self.messages, message)[-MOST:]
+        return message.id
+
+    def _replace(self, id_: str, **changes: Any) -> None:
+        if id_:
+            self.messages = tuple(
+                replace(message, **changes) if message.id == id_ else message for message in self.messages
+            )
+
+
+def _act(act: str, sentence: str) -> Line:
+    return Line(topic=PERSON, state=act, sentence=sentence, said=told(sentence))
+
+
+def _goes_on(last: SpeedChange, change: SpeedChange) -> bool:
+    return last.person == change.person and last.stamp <= change.stamp < last.stamp + DRAGGED * NANOSECONDS
+
+
+def _speed_words(change: SpeedChange, before: float) -> Sentence:
+    values = {"person": change.person, "before": f"{100 * before:.4g}", "percent": f"{100 * change.limit:.4g}"}
+    if change.limit > change.before:
+        return Sentence("{person} raised the speed limit of people from {before}% to {percent}%", **values)
+    return Sentence("{person} lowered the speed limit of people from {before}% to {percent}%", **values)
+
+
+def _is_message(line: Line) -> bool:
+    return line.level == Level.PERSON and (line.topic, line.state) not in ORDINARY and line.topic != "startup"
+
+
+def _identity(line: Line) -> tuple[str, ...]:
+    # another cause is another message; figures in the reasons of the others waver
+    return (line.topic, line.state, line.sentence if line.topic == "cause" else "")
