@@ -385,7 +385,7 @@ class Bridge:
         # a status of a gateway that is gone says nothing of now
         if supervisor.state in (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE):
             return supervisor.reason
-        return both(supervisor.reason, supervisor.inputs.status.sentence_of("controller"))
+        return both(supervisor.reason, supervisor.inputs.status.controller_sentence)
 
     def news(self, now: int, connection: str) -> tuple[bool, bool]:
         """Return whether the link is to be reported now, and whether it has changed but for figures."""

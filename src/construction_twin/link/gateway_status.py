@@ -131,9 +131,10 @@ class GatewayStatus(_Part):
             values |= {f"{group}_{name}": _text(value) for name, value in getattr(self, group).items()}
         return values
 
-    def sentence_of(self, group: Literal["controller", "cycle"]) -> str:
-        """Return why the arm may not move, or by how much the controller's clock is off; "" for no reason."""
-        return _text(getattr(self, group).get("sentence"))
+    @property
+    def controller_sentence(self) -> str:
+        """Why the arm may not move, as the controller says itself; "" for no reason."""
+        return _text(self.controller.get("sentence"))
 
 
 class GatewayAnswer(_Part):
