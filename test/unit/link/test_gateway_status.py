@@ -96,7 +96,7 @@ def test_what_it_says_can_be_said_in_another_language():
         | {"reason": "gateway is braking", "controller": {"sentence": "gateway is braking"}, "said": said}
         | {"tool": TOOL | {"switches": [{"id": "a", "state": "armed", "reason": "gateway is braking"}]}}
     )
-    for text in (found.reason, found.sentence_of("controller"), found.tool.switches[0].reason):
+    for text in (found.reason, found.controller_sentence, found.tool.switches[0].reason):
         assert isinstance(text, Sentence) and (text.template, text.values) == (
             "gateway is {state}",
             {"state": "braking"},
