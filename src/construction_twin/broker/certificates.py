@@ -48,8 +48,9 @@ class Authority:
         write_private(self.certificate, _sign("construction_twin site", self._key, CA_DAYS, extensions))
 
     def not_permitted(self, hosts: Iterable[str]) -> list[str]:
-        """Return those of the hosts that this CA may not vouch for."""
-        return [host for host in hosts if not self._permits(host)]
+        """Return those of the hosts that this CA may not vouch for: all, where its certificate names none and would do for any."""
+        hosts = list(hosts)
+        return hosts if self._permits("name.invalid") else [host for host in hosts if not self._permits(host)]
 
     def _permits(self, host: str) -> bool:
         with tempfile.TemporaryDirectory() as scratch:

@@ -20,9 +20,9 @@ _MOST_SAID = 256
 #: Objects of the status whose values are shown, each under its own name and theirs.
 _GROUPS = ("controller", "cycle", "playout", "speed_limit", "stop", "intruder")
 _SINGLE = ("mode", "fault_number", "last_refusal", "later_refusal", "last_ipoc_jump_ms")
-#: What counts in the gateway's reason while it refuses datagrams, where a parser stopped, and by how much a clock is off: these
-#: change with every second of a sender that goes on.
-_COUNTS = re.compile(r"(datagrams refused:|\bline|\bcolumn|\bclock is) \d+(?:\.\d+)?")
+#: What counts in the gateway's reason while it refuses datagrams, and where a parser stopped: these change with every second of a
+#: sender that goes on.
+_COUNTS = re.compile(r"(datagrams refused:|\bline|\bcolumn) \d+")
 
 
 def _short(text: str) -> str:

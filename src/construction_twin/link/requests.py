@@ -313,20 +313,45 @@ class WayBack(Request):
     moment: Seen = Field("", validate_default=True)
 
 
-_SCALES: Any = {"speed_scale": (Fraction, 0.0), "acceleration_scale": (Fraction, 0.0)}
-_POSE: Any = {"position": (Position, ...), "orientation": (Quaternion, ...), **_SCALES}
+class _Scaled(WayBack):
+    speed_scale: Fraction = 0.0
+    acceleration_scale: Fraction = 0.0
 
 
-def _goal(**fields: Any) -> type[WayBack]:
-    return pydantic.create_model("Goal", __base__=WayBack, **fields)
+class JointGoal(_Scaled):
+    """A goal of joints."""
+
+    joints: JointValues
+
+
+class PoseGoal(_Scaled):
+    """A goal of the tool."""
+
+    position: Position
+    orientation: Quaternion
+    configuration: Text = ""
+
+
+class LineGoal(_Scaled):
+    """A goal of the tool, on a straight line."""
+
+    position: Position
+    orientation: Quaternion
+    speed: Annotated[Number, Field(ge=0.0)] = 0.0
+
+
+class TaskGoal(WayBack):
+    """A task of the building model; empty: the next one."""
+
+    task: Text = ""
 
 
 GOALS: Mapping[str, type[WayBack]] = {
-    "joints": _goal(joints=(JointValues, ...), **_SCALES),
-    "pose": _goal(**_POSE, configuration=(Text, "")),
-    "line": _goal(**_POSE, speed=(Annotated[Number, Field(ge=0.0)], 0.0)),
+    "joints": JointGoal,
+    "pose": PoseGoal,
+    "line": LineGoal,
     "way_back": WayBack,
-    "work_task": _goal(task=(Text, "")),
+    "work_task": TaskGoal,
 }
 
 

@@ -127,8 +127,7 @@ class ConnectionReport:
         certificate = " (if it never lasts: the broker may refuse the client certificate)"
         more = certificate if broker.account is not None and broker.account.cert_file else ""
         if not welcomed:
-            # so does RabbitMQ 3.10, which fails on a CONNECT of MQTT 5
-            spoken = f"MQTT 5 {'with' if broker.encrypted else 'without'} TLS"
+            spoken = f"MQTT 5 (RabbitMQ before 3.13 does not) {'with' if broker.encrypted else 'without'} TLS"
             self._report(f"{where} closed the connection without an answer: does the port speak {spoken}?{more}")
             return
         if reason_code.value == _TAKEN_OVER:

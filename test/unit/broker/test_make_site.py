@@ -332,6 +332,16 @@ def test_nobody_believes_the_ca_about_other_names(folder, hosts):
     assert "permitted subtree violation" in openssl and python == "permitted subtree violation"
 
 
+def test_a_ca_that_would_be_believed_about_every_name_is_refused(folder, capsys, monkeypatch):
+    shutil.rmtree(folder / "ca")
+    with monkeypatch.context() as patch:
+        patch.setattr(certificates, "_constraints", lambda hosts: ["DNS:"])
+        make(folder)
+    before = contents(folder)
+    assert main([str(folder)]) == 1 and "may not vouch for" in capsys.readouterr().out
+    assert contents(folder) == before
+
+
 def test_a_name_that_the_ca_may_not_vouch_for_changes_nothing_unless_the_ca_is_renewed(folder, capsys):
     before = contents(folder)
     assert main([str(folder), "--host", "new.example"]) == 1

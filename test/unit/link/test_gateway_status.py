@@ -58,6 +58,7 @@ def test_status_and_answer_are_read_and_an_older_gateway_s_says_nothing():
         {"playout": 3}, {"playout": [1]}, {"playout": {str(k): 1 for k in range(33)}}, {"playout": {"x" * 65: 1}},
         *({"playout": {"delay_ms": value}} for value in ([1], True, float("nan"), float("inf"), 10**400, {})),
         {"intruder": {"count": -(1 << 63)}}, {"intruder": {"session": {}}}, {"last_refusal": ["x"]},
+        {"session": None}, {"hash": None}, {"decimals": "3"}, {"connection": -1}, {"stop": "silence"}, {"stop": None},
         {"stop": {"moved_deg": ["x"]}}, {"stop": {"moved_deg": [0.0] * 13}},
         *({"tool": tool} for tool in (None, 5, [], {})),
         *(

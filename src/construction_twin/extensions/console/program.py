@@ -20,7 +20,6 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.extensions import check_extras
 from construction_twin.core.network import is_loopback, port_is_free
 from construction_twin.core.share import share_file
-from construction_twin.robot.urdf import read_yaml
 
 if TYPE_CHECKING:
     from construction_twin.extensions.console.server import ServerSettings
@@ -83,6 +82,9 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
 
 def _configuration(path: Path) -> dict[str, object]:
     """Return the content of a file like config/console.yaml."""
+    # the pipe alone needs no YAML
+    from construction_twin.robot.urdf import read_yaml
+
     content = read_yaml(path)
     expected = 'an address, a whole number and a folder, or "": the keys of config/console.yaml'
     kinds = {"listen": str, "port": int, "page": str}
