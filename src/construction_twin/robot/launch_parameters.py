@@ -10,7 +10,6 @@ import yaml
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import radians
-from construction_twin.robot.urdf import expand_xacro, xacro_arguments
 
 
 def home_positions(path: str | Path) -> dict[str, float]:
@@ -39,6 +38,9 @@ def main() -> None:
         return
     if not words:
         sys.exit("usage: expand_xacro FILE [argument=value ...], or expand_xacro --home ROBOT_YAML")
+    # a home pose needs no xacro, and roslaunch waits
+    from construction_twin.robot.urdf import expand_xacro, xacro_arguments
+
     try:
         print(expand_xacro(words[0], xacro_arguments(shlex.join(words[1:]))))
     except ConfigurationError as error:

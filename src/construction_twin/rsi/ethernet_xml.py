@@ -1,12 +1,10 @@
 """Reads KUKA's RSI Ethernet XML, the file that a user copies to the controller: the one source of what stands in the telegrams.
 
-    <ROOT>
-      <CONFIG> IP_NUMBER, PORT, SENTYPE, ONLYSEND </CONFIG>
-      <SEND> <ELEMENTS> <ELEMENT TAG TYPE INDX/> ... </ELEMENTS> </SEND>
-      <RECEIVE> <ELEMENTS> <ELEMENT TAG TYPE INDX HOLDON/> ... </ELEMENTS> </RECEIVE>
-    </ROOT>
-
-Types and channels of the signal graph (TYPE, INDX) are the controller's to check.
+<ROOT>
+  <CONFIG> IP_NUMBER, PORT, SENTYPE, ONLYSEND </CONFIG>
+  <SEND> <ELEMENTS> <ELEMENT TAG TYPE INDX/> ... </ELEMENTS> </SEND>
+  <RECEIVE> <ELEMENTS> <ELEMENT TAG TYPE INDX HOLDON/> ... </ELEMENTS> </RECEIVE>
+</ROOT>
 """
 
 from __future__ import annotations
@@ -39,6 +37,8 @@ class EthernetXmlError(ConfigurationError):
 #: A file of this kind is a few kB [bytes].
 MAX_BYTES = 256 * 1024
 
+#: What gateway and mock read of SEND, TYPE DOUBLE (docs/rsi.md, section 2).
+_POSES = ("DEF_RIst", "DEF_RSol", "DEF_AIPos", "DEF_ASPos", "DEF_EIPos", "DEF_ESPos")
 _TAG = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}(?:\.[A-Za-z0-9_]{1,31})?").fullmatch
 #: A digital output of the controller, as the file of ros-industrial's driver declares eight of them (docs/rsi.md, section 3).
 _OUTPUT = re.compile(r"Out\.[0-9]{2}").fullmatch
@@ -61,6 +61,7 @@ class EthernetXml:
 class _Element:
     tag: str
     type: str
+    index: str
     holdon: str
 
 
@@ -92,7 +93,7 @@ def read_ethernet_xml(text: str, where: str) -> EthernetXml:
     send, receive = _elements(root, "SEND", where), _elements(root, "RECEIVE", where)
     if not send:
         raise EthernetXmlError(where, "SEND/ELEMENTS", None, "the elements that the controller sends")
-    switched = [element for element in receive if element.type == "BOOL" and is_set_channel(element.tag)]
+    switched = [element for element in receive if is_set_channel(element.tag)]
     outputs = [element for element in receive if element.type == "BOOL" and _OUTPUT(element.tag)]
     filled = [element for element in receive if element not in switched and element not in outputs]
     layout = RsiLayout(
@@ -252,14 +253,31 @@ def _address(config: ElementTree.Element, where: str) -> str:
 def _elements(root: ElementTree.Element, direction: str, where: str) -> list[_Element]:
     elements: dict[str, _Element] = {}
     for entry in root.findall(f"{direction}/ELEMENTS/ELEMENT"):
-        element = _Element(*(entry.get(name, "").strip() for name in ("TAG", "TYPE", "HOLDON")))
+        element = _Element(*(entry.get(name, "").strip() for name in ("TAG", "TYPE", "INDX", "HOLDON")))
         place = f"{direction} {element.tag[:64]}"
         if not _TAG(element.tag):
             expected = 'a TAG of letters, digits and "_", at most one "." inside'
             raise EthernetXmlError(where, place, element.tag, expected)
         if element.tag in elements:
             raise EthernetXmlError(where, place, "it is there twice", "each TAG once")
+        if (wanted := _type_of(element.tag)) and element.type != wanted:
+            raise EthernetXmlError(where, f"{place} TYPE", element.type, wanted)
+        if element.tag.startswith("DEF_") != (element.index == "INTERNAL"):
+            expected = "INTERNAL for DEF_ elements, and for no others"
+            raise EthernetXmlError(where, f"{place} INDX", element.index, expected)
+        if element.index != "INTERNAL" and element.index in (other.index for other in elements.values()):
+            raise EthernetXmlError(where, f"{place} INDX", element.index, "a channel that no other element has")
         if direction == "RECEIVE" and element.holdon not in ("0", "1"):
             raise EthernetXmlError(where, f"{place} HOLDON", element.holdon, '"0" or "1"')
         elements[element.tag] = element
     return list(elements.values())
+
+
+def _type_of(tag: str) -> str:
+    """Return the TYPE of what gateway and controller read of each other: another, or another's INDX, moves another axis."""
+    if tag == "DEF_Delay":
+        return "LONG"
+    if tag == STOP or is_set_channel(tag):
+        return "BOOL"
+    is_axis = tag.partition(".")[2] in (*ROBOT_AXES, *EXTERNAL_AXES)
+    return "DOUBLE" if is_axis or tag in _POSES else ""

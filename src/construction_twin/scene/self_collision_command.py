@@ -88,6 +88,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     output = None if options.output == "-" else Path(options.output).absolute()
     try:
         if output is not None:
+            if not output.parent.is_dir():
+                raise ConfigurationError("--output", str(output), "a file in a folder that exists")
             check_writable(output.parent)
         robot = read_robot_files(options.urdf, options.robot, options.robot_xacro_args)
         _check_owner(output, robot)

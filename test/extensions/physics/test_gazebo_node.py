@@ -65,13 +65,28 @@ def test_a_scene_that_cannot_be_simulated_is_reported_and_the_next_one_is_used(n
     def make(bodies, scene, *more):
         made.append(scene.hash)
         if scene.objects:
+            tell(node, Scene())
             raise ConstructionTwinError("no such mesh")
         assert node.report().level == module.ERROR and "no such mesh" in node.report().sentence
         return world_of(bodies, scene, *more)
 
     monkeypatch.setattr(module, "world_of", make)
     tell(node, SCENE)
-    tell(node, Scene())
     with pytest.raises(Became):
         node.run()
     assert made == [SCENE.hash, Scene().hash]
+
+
+def test_of_several_scenes_the_newest_is_simulated_and_after_a_signal_none(node, become, monkeypatch):
+    made, world_of = [], module.world_of
+
+    def make(bodies, scene, *more):
+        made.append(scene.hash)
+        monkeypatch.setattr(rospy, "is_shutdown", lambda: True)
+        return world_of(bodies, scene, *more)
+
+    monkeypatch.setattr(module, "world_of", make)
+    tell(node, Scene())
+    tell(node, SCENE)
+    node.run()
+    assert made == [SCENE.hash]

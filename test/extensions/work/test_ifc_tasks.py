@@ -121,6 +121,13 @@ def test_an_order_without_a_kind_is_finish_to_start(read):
     assert noted(found.notes, "Orders without one of the four kinds")
 
 
+def test_a_task_that_its_schedule_aggregates_is_of_the_task_that_nests_it(read):
+    model, _, top, (first, _) = two_tasks()
+    model.root("IfcRelAggregates", RelatingObject=model.root("IfcWorkPlan", Name="plan"), RelatedObjects=[first])
+    tasks = read(model).tasks
+    assert tasks[first.GlobalId].parent == top.GlobalId
+
+
 def test_a_task_that_is_part_of_itself_is_refused_with_its_number(read):
     model, _, top, (first, _) = two_tasks()
     model.root("IfcRelNests", RelatingObject=first, RelatedObjects=[top])

@@ -6,25 +6,36 @@ import os
 import subprocess
 import sys
 
+import pytest
 from processes import ROOT, free_port
 
 XML = f"{ROOT}/krl/ethernet/ctwin_e1_ethernet.xml"
-SENTENCES = ("Ethernet XML", "executor: found '1', expected an argument", "/no/console.yaml")
+STARTS = {
+    "mock": (
+        [f"ethernet_xml:={XML}", "console:=/no/console.yaml", "executor:=1"],
+        ["Ethernet XML", "executor: found '1', expected an argument", "/no/console.yaml"],
+    ),
+    # law 4 and accounts: each program that would let a real arm move refuses by itself
+    "real": (
+        ["arm:=real", "auto_approve:=true", "accounts:=/no/accounts"],
+        ["auto_approve: found True", "/no/accounts"],
+    ),
+}
 
 
-def test_a_start_that_cannot_work_ends_with_its_sentences_by_hand_and_in_the_launch(tmp_path):
+@pytest.mark.parametrize("words, sentences", STARTS.values(), ids=STARTS)
+def test_a_start_that_cannot_work_ends_with_its_sentences_by_hand_and_in_the_launch(tmp_path, words, sentences):
     uri = f"http://127.0.0.1:{(port := free_port())}"
     environment = os.environ | {"ROS_HOME": str(tmp_path), "ROS_LOG_DIR": f"{tmp_path}/log", "ROS_IP": "127.0.0.1"}
     environment["ROS_MASTER_URI"] = uri
-    words = [f"ethernet_xml:={XML}", "console:=/no/console.yaml"]
-    words += [f"broker_port:={free_port()}", f"rsi_port:={free_port()}"]
+    words = [*words, f"broker_port:={free_port()}", f"rsi_port:={free_port()}"]
     options = {"capture_output": True, "text": True, "timeout": 120.0, "env": environment}
-    bringup = ["roslaunch", "-p", str(port), f"{ROOT}/launch/bringup.launch"]
-    launch = subprocess.run([*bringup, "executor:=1", *words], **options)
-    by_hand = subprocess.run([sys.executable, f"{ROOT}/nodes/preflight", *words], **options)
+    launch = subprocess.run(["roslaunch", "-p", str(port), f"{ROOT}/launch/bringup.launch", *words], **options)
+    by_hand = [word for word in words if "executor" not in word]
+    by_hand = subprocess.run([sys.executable, f"{ROOT}/nodes/preflight", *by_hand], **options)
     assert launch.returncode == by_hand.returncode == 1, launch.stderr + by_hand.stderr
     said = [line for line in launch.stderr.splitlines() if line.startswith("cannot start: ")]
-    for sentence in SENTENCES:
+    for sentence in sentences:
         assert sum(sentence in line for line in said) == 1, launch.stderr
     assert "Traceback" not in launch.stdout + launch.stderr + by_hand.stderr
     alone = {line for line in said if "/startup)" not in line}

@@ -263,12 +263,12 @@ class _Reading:
         into: dict[str, list[Sequence]] = {identifier: [] for identifier in self._tasks}
         for sequence in self._model.sequences:
             ids = (sequence.before, sequence.after)
-            called = f"he sequence from {ids[0]} to {ids[1]}"
+            called = f"sequence from {ids[0]} to {ids[1]}"
             if sequence.before in self._above(sequence.after) or sequence.after in self._above(sequence.before):
                 if sequence.kind not in ("START_START", "FINISH_FINISH") or ids[0] == ids[1]:
                     why = "they are the same, or one nests in the other"
-                    raise ScheduleError(f"t{called} makes a task wait for itself: {why}")
-                self.notes.append(f"T{called} is left out: one of them nests in the other.")
+                    raise ScheduleError(f"the {called} makes a task wait for itself: {why}")
+                self.notes.append(f"The {called} is left out: one of them nests in the other.")
                 continue
             if sequence.lag < 0.0:
                 said = f"The lead from {ids[0]} to {ids[1]} is not used"

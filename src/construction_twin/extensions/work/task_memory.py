@@ -226,7 +226,7 @@ class Entry:
         source: Of `released` and `same`: `MEASURED` or `PLANNED`. Of `found`: "<ledger> <task> <time>".
         offer: Stands in the plan's `source`, by which a plan without known id is found.
         grip: `TaskMotions.method`.
-        process: Of `offered`; empty: `recipe.DEFAULT`.
+        process: Of `offered`; empty: `process.DEFAULT`.
         pose, goal: Length 7 or 0. How the element is held (`offered`), where it stands (others); where the model had it.
         model, schedule: SHA-256.
         time_ns: Since 1970 [ns].

@@ -222,7 +222,7 @@ class ToolMarkerNode:
             self._server.applyChanges()
             if self._menu.goal is None:
                 return
-        self._menu.goal = pose
+        self._menu.drag(pose)
         self._wake()
 
     def _read(self, feedback: InteractiveMarkerFeedback) -> Pose:

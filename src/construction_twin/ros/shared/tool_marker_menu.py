@@ -57,6 +57,7 @@ class ToolMarkerMenu:
         self._under_review = under_review
         #: Where the marker was dragged to, as ``base_T_tool``; None: it follows the tool.
         self.goal: Pose | None = None
+        self._dragging = threading.Lock()
         self._reviewer = reviewer
         self._say = say
         self._run = run
@@ -95,9 +96,14 @@ class ToolMarkerMenu:
 
     def reached(self, end: Pose) -> None:
         """Drop the goal if a motion has ended there; a goal that was dragged further meanwhile stays."""
-        goal = self.goal
-        if goal is not None and not moved(goal, end, REACHED):
-            self.goal = None
+        with self._dragging:
+            if self.goal is not None and not moved(self.goal, end, REACHED):
+                self.goal = None
+
+    def drag(self, pose: Pose) -> None:
+        """Set a new goal."""
+        with self._dragging:
+            self.goal = pose
 
     def choose(self, title: str) -> None:
         """Carry out an entry, and tell the operator how it ended."""

@@ -67,6 +67,8 @@ class GazeboNode:
         while not rospy.is_shutdown():
             try:
                 scene = self._scenes.get(timeout=_AWAKE)
+                while not self._scenes.empty():
+                    scene = self._scenes.get()
                 path = self._write(scene)
             except Empty:
                 continue
@@ -74,6 +76,8 @@ class GazeboNode:
                 self._problem = str(error)
                 self._refuse("world", str(error))
                 continue
+            if rospy.is_shutdown():
+                return
             rospy.loginfo("Gazebo simulates scene %s: %s", scene.hash[:12], path)
             rospy.signal_shutdown("becomes Gazebo's server")
             os.execvp(self._server[0], [*self._server, str(path)])

@@ -215,7 +215,8 @@ class Builder:
         return "work/tasks" in self._newest and self._subscribers["work/tasks"].get_num_connections() > 0
 
     def _is_playing(self) -> bool:
-        return self._newest["execution"].state == Execution.PLAYING
+        connected = self._subscribers["execution"].get_num_connections() > 0
+        return connected and self._newest["execution"].state == Execution.PLAYING
 
     def _wait(self, condition: Callable[[], bool], what: str, goes_on: Callable[[], bool] = lambda: False) -> None:
         """Wait, asking after every message; while `goes_on` holds, the time does not run."""

@@ -80,7 +80,7 @@ def read_relations(file: ifcopenshell.file, name: str) -> Relations:
         with Where(name, relation):
             openings[relation.RelatingBuildingElement.id()].append(relation.RelatedOpeningElement)
             voided[relation.RelatedOpeningElement.id()] = relation.RelatingBuildingElement
-    _refuse_loops(file, name, whole)
+    refuse_loops(file, name, whole)
     return Relations(whole, dict(openings), _on(file, name, voided), dict(members))
 
 
@@ -98,7 +98,8 @@ def _on(file: ifcopenshell.file, name: str, voided: dict[int, _Entity]) -> _Enti
     return dict(found)
 
 
-def _refuse_loops(file: ifcopenshell.file, name: str, whole: dict[int, _Entity]) -> None:
+def refuse_loops(file: ifcopenshell.file, name: str, whole: dict[int, _Entity]) -> None:
+    """Raise BuildingError where an entity is part of itself."""
     try:
         TopologicalSorter({part: (parent.id(),) for part, parent in whole.items()}).prepare()
     except CycleError as error:

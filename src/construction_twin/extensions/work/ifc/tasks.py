@@ -21,7 +21,7 @@ from construction_twin.extensions.work.building import Element, Sequence, Task
 from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.notes import Notes, Where, label
 from construction_twin.extensions.work.ifc.properties import Units, read_properties
-from construction_twin.extensions.work.ifc.relations import Relations
+from construction_twin.extensions.work.ifc.relations import Relations, refuse_loops
 from construction_twin.extensions.work.process import PROPERTY_SET, RECIPE
 from construction_twin.kinematics.chain import Pose
 
@@ -82,7 +82,14 @@ def read_tasks(
     file: ifcopenshell.file, name: str, groups: Groups, given: Collection[str], units: Units, notes: Notes
 ) -> tuple[dict[str, Task], tuple[Sequence, ...]]:
     """Read tasks and sequences; `given`: ids of elements that a task builds where it has them as inputs only."""
-    reading = _Reading(groups, given, units, notes)
+    parents: dict[int, _Entity] = {}
+    # IFC wants nesting; some authors aggregate
+    for relation in (*file.by_type("IfcRelNests"), *file.by_type("IfcRelAggregates")):
+        if relation.RelatingObject.is_a("IfcTask"):
+            for part in relation.RelatedObjects:
+                parents.setdefault(part.id(), relation.RelatingObject)
+    refuse_loops(file, name, parents)
+    reading = _Reading(parents, groups, given, units, notes)
     every = sorted(file.by_type("IfcTask"), key=lambda task: task.id())
     with Where(name, "the schedule"):
         reading.beyond = any(_completion(_time_of(task)) > 1.0 + _ROUNDING for task in every)
@@ -128,10 +135,10 @@ class _Reading:
         beyond: Some `Completion` is above 1: nobody knows what the others are parts of.
     """
 
-    def __init__(self, groups: Groups, given: Collection[str], units: Units, notes: Notes):
+    def __init__(self, parents: dict[int, _Entity], groups: Groups, given: Collection[str], units: Units, notes: Notes):
         self._groups, self._given, self._notes = groups, given, notes
         self._time_unit = units.given.get("TIMEUNIT")
-        self._units, self._whole = units, groups.relations.whole
+        self._units, self._parents = units, parents
         self.ids: dict[int, str] = {}
         self.tasks: dict[str, Task] = {}
         self.beyond = False
@@ -184,7 +191,7 @@ class _Reading:
             if products and not by_recipe:
                 said = "Tasks whose workpieces are assigned as inputs only (IfcRelAssignsToProcess)"
                 note(f"{said}; taken as what they make")
-        parent = self._whole.get(entity.id())
+        parent = self._parents.get(entity.id())
         start, duration = self._times(time, note)
         return Task(
             id=task_id,
@@ -206,7 +213,7 @@ class _Reading:
         at: _Entity | None = entity
         while at is not None and at.is_a("IfcTask"):
             yield at
-            at = self._whole.get(at.id())
+            at = self._parents.get(at.id())
 
     def _elements(self, entities: list[_Entity], note: _Note) -> list[str]:
         found: dict[str, None] = {}
@@ -314,7 +321,7 @@ class _Reading:
         """
         if process.is_a("IfcTask") or process.id() in self.ids:
             return self.ids.get(process.id(), "")
-        parent = self._whole.get(process.id())
+        parent = self._parents.get(process.id())
         above = "" if parent is None else self.ids.get(parent.id(), "")
         if above and not any(task.parent == above for task in self.tasks.values()):
             return above
