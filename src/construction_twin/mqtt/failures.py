@@ -127,8 +127,8 @@ class ConnectionReport:
         certificate = " (if it never lasts: the broker may refuse the client certificate)"
         more = certificate if broker.account is not None and broker.account.cert_file else ""
         if not welcomed:
-            spoken = f"MQTT 5 (RabbitMQ before 3.13 does not) {'with' if broker.encrypted else 'without'} TLS"
-            self._report(f"{where} closed the connection without an answer: does the port speak {spoken}?{more}")
+            spoken = f"MQTT 5 {'with' if broker.encrypted else 'without'} TLS? RabbitMQ before 3.13 does not"
+            self._report(f"{where} closed the connection without an answer: does the port speak {spoken}{more}")
             return
         if reason_code.value == _TAKEN_OVER:
             why = "taken away by a client with the same id, which an account there knows: see the broker's log (docs/broker.md)"
