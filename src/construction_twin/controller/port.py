@@ -76,7 +76,7 @@ class ControllerStatus(Protocol):
     def sentence(self) -> str:
         """Why the arm may not move, or not as expected; "" when nothing of this kind is known."""
 
-    def report(self) -> dict[str, str | float]:
+    def status_fields(self) -> dict[str, str | float]:
         """Return what `status` tells of it; {} when nothing is known."""
 
 

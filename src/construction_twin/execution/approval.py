@@ -23,7 +23,7 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.engagement import Engagement, check_way_back
 from construction_twin.execution.executor import Executor
 from construction_twin.execution.playback import START_TOLERANCE
-from construction_twin.execution.segment_run import awaited, lacks
+from construction_twin.execution.segment_run import tool_missing, tool_pending
 from construction_twin.execution.states import ACTIVE, ExecutorState
 from construction_twin.monitor.states import SyncState
 from construction_twin.review.plan_under_review import APPROVED, REFUSED, REJECTED, Ending, Verdict, prove_hash
@@ -47,13 +47,13 @@ class ConflictVerdicts:
 
     def __init__(self, name: str = ""):
         self.name = name
-        self._plan_id, self._problem, self._at = "", "", 0
+        self._plan_id, self._obstacle, self._at = "", "", 0
 
     def on_verdict(self, plan_id: str, problem: str, now: int) -> None:
         """Take a verdict: why a plan must not be played; empty: its path is free."""
-        self._plan_id, self._problem, self._at = plan_id, problem, now
+        self._plan_id, self._obstacle, self._at = plan_id, problem, now
 
-    def problem(self, plan_id: str, now: int) -> str:
+    def obstacle(self, plan_id: str, now: int) -> str:
         """Return why a plan must not start, as one sentence; empty: nothing is against it."""
         if not self.name:
             return ""
@@ -61,7 +61,7 @@ class ConflictVerdicts:
             return Sentence("its path was not checked against {name} yet; does `neighbour` run?", name=self.name)
         if now - self._at > VERDICT_TIMEOUT:
             return Sentence("its path is not checked against {name} any more; does `neighbour` run?", name=self.name)
-        return self._problem
+        return self._obstacle
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ class Approval:
                 self._executor.offer(plan, left)
         except ReviewError as error:
             with self._lock:
-                self._executor.tell_withdrawn(plan, str(error))
+                self._executor.record_withdrawal(plan, str(error))
             raise
 
     def review(
@@ -236,7 +236,7 @@ class Approval:
                 review = self._executor.under_review
                 if review.plan is not None and review.plan.id == plan.id:
                     why = Sentence("auto_approve: {reason}", reason=str(error))
-                    self._executor.tell_withdrawn(review.clear(), why)
+                    self._executor.record_withdrawal(review.clear(), why)
             if isinstance(error, RecordError):
                 raise
             return None
@@ -311,9 +311,9 @@ class Approval:
         idle = executor.state is ExecutorState.IDLE and executor.sync is SyncState.IN_SYNC and not executor.unarmed
         if not idle or plan is None or not review.scene or not review.scene_alive:
             return False
-        if awaited(executor.tool, plan) or (self.rehearsal.awaits(plan) and not back(plan)):
+        if tool_pending(executor.tool, plan) or (self.rehearsal.awaits(plan) and not back(plan)):
             return False
-        return not self.neighbour.problem(plan.id, executor.now)
+        return not self.neighbour.obstacle(plan.id, executor.now)
 
     def _check_start(self, plan: Plan, override: bool) -> None:
         """Raise ReviewError where the plan under review may not start now, naming what is against it."""
@@ -328,26 +328,26 @@ class Approval:
             )
         if executor.unarmed:
             raise ReviewError(Sentence("the arm is not armed ({reason}); approve when it is", reason=executor.unarmed))
-        problem = self.neighbour.problem(plan.id, executor.now)
+        problem = self.neighbour.obstacle(plan.id, executor.now)
         engagement = executor.engagement
         if not problem and engagement.engaged and not engagement.is_way_back(plan):
             problem = engagement.sentence
         if not problem and plan.segments:
             first = plan.segments[0].requires
-            problem = lacks(tool, plan) or tool.problem(first)
+            problem = tool_missing(tool, plan) or tool.mismatch(first)
             if not problem and engagement.left is not None and set(first) != set(engagement.left.requires(tool)):
                 problem = Sentence("the tool reads something else since the way back was planned; call plan_way_back")
         if problem:
             raise ReviewError(Sentence("plan {plan} may not start: {reason}", plan=plan.id, reason=problem))
         executor.under_review.check_scene()
-        if not override and (unrehearsed := self._rehearsal_problem(plan)):
+        if not override and (unrehearsed := self._rehearsal_obstacle(plan)):
             raise ReviewError(unrehearsed)
         assert executor.setpoint is not None  # in IDLE there always is one
         check_start_pose(plan, executor.setpoint, executor.robot)
 
-    def _rehearsal_problem(self, plan: Plan) -> str:
+    def _rehearsal_obstacle(self, plan: Plan) -> str:
         """Return why its rehearsal is against a plan; empty: it is not. The way back of an engaged arm needs none."""
-        return "" if self._executor.engagement.is_way_back(plan) else self.rehearsal.problem(plan)
+        return "" if self._executor.engagement.is_way_back(plan) else self.rehearsal.obstacle(plan)
 
     def _releasable(self) -> Engagement:
         """Return the engagement that could be ended now, by a person who has freed the arm."""
@@ -367,14 +367,14 @@ class Approval:
         overridden = override is not None
         if approve:
             self._check_start(plan, overridden)
-        rehearsal = self.rehearsal.on_record(plan, overridden)
+        rehearsal = self.rehearsal.rehearsed(plan, overridden)
         if override is not None:
             self._check_override(plan, plan_hash, reason, override)
         return Verdict(APPROVED if approve else REJECTED, plan.id, plan.hash, reviewer, reason, plan, rehearsal)
 
     def _check_override(self, plan: Plan, plan_hash: str, reason: str, seen: str) -> None:
         """Raise ReviewError when there is nothing to override, or it is not what was seen, or the reviewer does not say why."""
-        problem = self._rehearsal_problem(plan)
+        problem = self._rehearsal_obstacle(plan)
         if not problem:
             raise ReviewError(
                 Sentence("plan {plan} needs no rehearsal, or has passed it: nothing to override", plan=plan.id)
@@ -413,5 +413,5 @@ class Approval:
         with self._lock:
             plan = self._executor.under_review.plan
             known = plan if plan is not None and plan.id == plan_id else None
-            rehearsal = self.rehearsal.on_record(known, False) if known is not None else None
+            rehearsal = self.rehearsal.rehearsed(known, False) if known is not None else None
         self._record(Verdict(REFUSED, plan_id, plan_hash, reviewer, reason, known, rehearsal))

@@ -107,7 +107,7 @@ class ControllerSession:
         #: Measured pose of the last telegram that had one [rad]; () when there is none.
         self.measured: tuple[float, ...] = ()
         #: When the last telegram came [ns].
-        self.heard_at = 0
+        self.received_at = 0
         self.stamp = 0
         #: Why the present session began.
         self.began = ""
@@ -122,11 +122,11 @@ class ControllerSession:
 
     def accepts(self, source: object, now: int) -> bool:
         """Return whether a datagram from `source` may be read: while a controller is alive, only its own are."""
-        return source == self._source or not (self.alive and now - self.heard_at <= ALIVE)
+        return source == self._source or not (self.alive and now - self.received_at <= ALIVE)
 
     def is_silent(self, now: int) -> bool:
         """Return whether the controller has been silent for its timeout."""
-        return self.alive and now - self.heard_at > self._timeout
+        return self.alive and now - self.received_at > self._timeout
 
     def on_telegram(self, telegram: Telegram, source: object, now: int, moving: bool = False) -> TelegramOutcome | None:
         """Take a telegram; None when it came twice or behind a newer one. `moving`: whether the correction is being changed."""
@@ -141,12 +141,12 @@ class ControllerSession:
         if begins:
             self._begin(telegram)
             elapsed = self._cycle
-        self.stamp, self._source, self.heard_at = telegram.controller_ms, source, now
+        self.stamp, self._source, self.received_at = telegram.controller_ms, source, now
         missed = elapsed > self._cycle or (telegram.missed is not None and telegram.missed > self._last_missed)
         refusal, lost = "", False
         drifted_to: tuple[float, ...] = ()
         if not self._answered:
-            self.take_measured(telegram)
+            self.store_measured(telegram)
         elif not self._refused:
             if not self.origin:
                 self.origin, refusal = self._rules.origin(telegram)
@@ -154,7 +154,7 @@ class ControllerSession:
             # before the count of missed replies is taken over
             if telegram.missed != self._last_missed or elapsed != self._cycle:
                 lost = self._is_reply_lost(telegram.missed, elapsed)
-            drifted_to = self._take_poses(telegram)
+            drifted_to = self._store_poses(telegram)
         if elapsed == self._cycle and not (begins or missed or refusal or lost or drifted_to):
             return self._regular
         return TelegramOutcome(elapsed, begins, refusal, missed, lost, drifted_to)
@@ -179,13 +179,13 @@ class ControllerSession:
         """The target that the controller has until the last answer arrives, as it was sent [rad], [m]; () before the first."""
         return self.replies.to_target(self.replies.last_acknowledged, self.origin)
 
-    def note_status(self, status: ControllerStatus, unreadable: int) -> None:
+    def on_status(self, status: ControllerStatus, unreadable: int) -> None:
         """Take what a telegram says on its optional channels, and how many of these cannot be read; it changes no answer."""
         self.status = status
         if unreadable:
             self._counters["status_channels_unreadable"] += unreadable
 
-    def take_measured(self, telegram: Telegram) -> None:
+    def store_measured(self, telegram: Telegram) -> None:
         """Take the measured pose of a telegram, where it has one."""
         self.measured = telegram.measured or self.measured
 
@@ -203,7 +203,7 @@ class ControllerSession:
             self._counters["delay_irregular"] += 1
         return missed >= cycles
 
-    def _take_poses(self, telegram: Telegram) -> tuple[float, ...]:
+    def _store_poses(self, telegram: Telegram) -> tuple[float, ...]:
         """Take a telegram's poses and its count of late replies; return where it is programmed off the origin."""
         missed = telegram.missed
         if missed is not None and missed != self._last_missed:

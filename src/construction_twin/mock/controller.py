@@ -242,7 +242,7 @@ class MockController:
     def limit_tool_speed(self, speed: float) -> None:
         """Select T1: the tool moves no faster than `speed` [m/s]."""
         self._tool_speed = speed
-        self._tool_limit = self._make_tool_limit(self.setpoint, self._last_step)
+        self._tool_limit = self._build_tool_limit(self.setpoint, self._last_step)
 
     def lift_tool_speed(self) -> None:
         """Select another mode: the arm catches up within its limits."""
@@ -262,7 +262,7 @@ class MockController:
         limits = self.config.velocity, self.config.acceleration
         self.program = Program(self.start_pose, target, *limits, duration, self._period)
 
-    def _make_tool_limit(self, position: Sequence[float], step: Sequence[float]) -> ToolSpeedLimit:
+    def _build_tool_limit(self, position: Sequence[float], step: Sequence[float]) -> ToolSpeedLimit:
         return ToolSpeedLimit(
             position,
             step,
@@ -317,7 +317,7 @@ class MockController:
         self.ramp = self.program = self._tool_limit = None
         self.needs_person = False
         if self._tool_speed:
-            self._tool_limit = self._make_tool_limit(pose, self._zero)
+            self._tool_limit = self._build_tool_limit(pose, self._zero)
 
     def _check_range(self, pose: Sequence[float]) -> None:
         config = self.config
@@ -352,7 +352,7 @@ class MockController:
         self.counters["missed"] += 1
         self.missed += 1
         if self.tool is not None:
-            self.tool.miss()
+            self.tool.on_missed_reply()
         if self.missed >= self.config.timeout:
             self.flag = True
             refused = self.refusals.since_valid
@@ -364,7 +364,7 @@ class MockController:
     def _valid_reply(self, reply: Reply) -> tuple[float, ...]:
         self.missed = 0
         if self.tool is not None:
-            self.tool.take(reply.switched)
+            self.tool.on_reply(reply.switched)
         self.counters["without_stop"] += reply.stop is None and self._stop_declared
         stop = bool(reply.stop)
         if stop and not self._stop_level:

@@ -56,12 +56,12 @@ class SimulatedTool:
         self._channels = (False,) * len(self._names)
         self._edges: dict[str, bool | None] = {}
 
-    def take(self, switched: tuple[bool, ...]) -> None:
+    def on_reply(self, switched: tuple[bool, ...]) -> None:
         """Take the channels of a valid reply."""
         self._channels = switched
         self._map()
 
-    def miss(self) -> None:
+    def on_missed_reply(self) -> None:
         """Take a missed reply: HOLDON decides."""
         self._channels = tuple([value and held for value, held in zip(self._channels, self._holdon)])
         self._map()

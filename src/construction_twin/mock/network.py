@@ -122,7 +122,7 @@ class MockRsi:
                 self._observe(self)
                 self._receive_until(self._ends)
                 if self.controller.refusals.news:
-                    self._tell_refusals()
+                    self._log_refusals()
         finally:
             self._socket.close()
 
@@ -161,7 +161,7 @@ class MockRsi:
             begun = f"session {controller.session} started, {controller.words.stamp} {controller.stamp}"
             self._report(f"{controller.words.protocol} {begun}, gateway {self._gateway}")
 
-    def _tell_refusals(self) -> None:
+    def _log_refusals(self) -> None:
         news = self.controller.refusals.news
         for sentence in news:
             self._report(f"{self.controller.words.protocol} session {self.controller.session}: {sentence}")
@@ -170,7 +170,7 @@ class MockRsi:
     def _send(self, packet: bytes) -> None:
         line = self.faults.to_pc
         if line.active:
-            line.put(packet, time.monotonic_ns())
+            line.send(packet, time.monotonic_ns())
             self._deliver(time.monotonic_ns())
         else:
             self._put_on_wire(packet)
@@ -218,9 +218,9 @@ class MockRsi:
 
     def _deliver(self, now: int) -> None:
         """Deliver the datagrams whose delay is over."""
-        for underway in self.faults.to_pc.take(now):
+        for underway in self.faults.to_pc.pop_arrived(now):
             self._put_on_wire(underway.data)
-        for underway in self.faults.to_controller.take(now):
+        for underway in self.faults.to_controller.pop_arrived(now):
             self.controller.receive(underway.data, not self._stamped or underway.due <= self._ends)
 
     def _drain(self) -> None:
@@ -235,7 +235,7 @@ class MockRsi:
             now = time.monotonic_ns()
             arrived = min(stamp + steady_offset(), now) if self._stamped else now
             if self.faults.to_controller.active:
-                self.faults.to_controller.put(data, arrived)
+                self.faults.to_controller.send(data, arrived)
             else:
                 self.controller.receive(data, not self._stamped or arrived <= self._ends)
 

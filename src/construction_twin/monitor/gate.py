@@ -140,7 +140,7 @@ class Gate:
         """Last command that passed [rad], which a closed gate repeats; empty while it has never been open."""
         return self._check.position
 
-    def take_transitions(self) -> list[Transition]:
+    def pop_transitions(self) -> list[Transition]:
         """Return the changes of state since the last call, oldest first."""
         taken, self.transitions = self.transitions, []
         return taken
@@ -309,8 +309,8 @@ class Gate:
             self.refused += 1
             return None
         self._stamp = stamp
-        self._round_trips.note(stamp, now)
-        late = self._travel.take(stamp, now)
+        self._round_trips.on_setpoint(stamp, now)
+        late = self._travel.record(stamp, now)
         if self.mirrored:
             return None
         was_open = self.state is SyncState.IN_SYNC

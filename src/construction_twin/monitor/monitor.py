@@ -18,7 +18,7 @@ from construction_twin.monitor.settings import REPLAN
 from construction_twin.monitor.states import SyncEvent, SyncState, Transition
 
 #: Plans remembered besides the one that was played last.
-KEPT = 20
+MAX_GOALS = 20
 #: Rate of `sync` while its state does not change [Hz]. After 0.5 s of silence the executor takes the gate for closed.
 SYNC_RATE = 50.0
 #: Longest time between two `sync` of an open gate while the command rests [ns]: five nodes read each of them.
@@ -126,7 +126,7 @@ class Monitor:
         speed, acceleration = (min(1.0, max(use, default=0.0)) for use in (velocity_use, acceleration_use))
         self._goals[plan_id] = ReplanGoal(plan_id, tuple(goal), speed, acceleration)
         old = [known for known in self._goals if known not in (self._played.plan_id, plan_id)]
-        for known in old[: max(len(old) - KEPT, 0)]:
+        for known in old[: max(len(old) - MAX_GOALS, 0)]:
             del self._goals[known]
 
     def on_execution(self, plan_id: str, executing: str, playing: bool, moment: str) -> None:
@@ -146,16 +146,16 @@ class Monitor:
             return None
         return replace(found, seen=played.moment)
 
-    def take_transitions(self) -> tuple[list[Transition], Replan | None]:
+    def pop_transitions(self) -> tuple[list[Transition], Replan | None]:
         """Return the gate's transitions, and the plan to ask for when it has just closed, before the change is heard."""
-        changes = self.gate.take_transitions()
+        changes = self.gate.pop_transitions()
         first, wanted = changes[0], self.interrupted
         closed = first.source is SyncState.IN_SYNC and first.target is not SyncState.IN_SYNC
         if not closed or self.gate.policy != REPLAN or wanted is None:
             return changes, None
         asked = Sentence("a path to the goal of plan {plan} was asked for, no faster than that", plan=wanted.plan_id)
         asks = self.gate.fire(SyncEvent.REPLAN_ASKED, asked, first.at)
-        changes += self.gate.take_transitions()
+        changes += self.gate.pop_transitions()
         replan = Replan(self.gate.held, wanted, self.gate.violations)
         return changes, replan if asks else None
 
@@ -227,10 +227,10 @@ class TransitionLogError(ConstructionTwinError):
 
 
 class TransitionLog:
-    """The file of all transitions, whose stamps are in ROS time here, and the newest; `problem`: why it cannot be written."""
+    """The file of all transitions, whose stamps are in ROS time here, and the newest; `fault`: why it cannot be written."""
 
     def __init__(self, path: Path, names: tuple[str, ...]):
-        self.problem, self._names, self._count = "", names, 0
+        self.fault, self._names, self._count = "", names, 0
         self._file = AppendOnlyFile(path, TransitionLogError, "pca_monitor")
         self._recent: deque[Transition] = deque(maxlen=SHOWN)
 
@@ -245,9 +245,9 @@ class TransitionLog:
         try:
             self._file.flush()
         except TransitionLogError as error:
-            self.problem = str(error)
+            self.fault = str(error)
         else:
-            self.problem = ""
+            self.fault = ""
 
     def values(self) -> dict[str, str]:
         """Return what `/diagnostics` shows."""

@@ -45,7 +45,7 @@ class Refinement:
     Attributes:
         model: As refined so far.
         later: Length n. How much later each joint is than the file says [s].
-        due: Whether a joint has moved enough for `take`.
+        due: Whether a joint has moved enough for `apply`.
     """
 
     def __init__(self, model: ServoModel):
@@ -62,7 +62,7 @@ class Refinement:
                 if slope.count >= ENOUGH:
                     self.due = True
 
-    def take(self) -> dict[str, float]:
+    def apply(self) -> dict[str, float]:
         """Let what was learned take effect in `model`, at rest; return the changes of lags by joint [s], {} for none."""
         changes, later = {}, list(self.later)
         for joint, (name, slope) in enumerate(zip(self.model.names, self._sums)):
@@ -205,7 +205,7 @@ class ServoWatch:
 
     def refine(self) -> dict[str, float]:
         """Let what was learned of the servos take effect, at rest; return the change of each joint's lag by its name [s]."""
-        changes = self.refinement.take()
+        changes = self.refinement.apply()
         if changes and self._state is not None:
             self._state.configure(self.refinement.model)
         return changes

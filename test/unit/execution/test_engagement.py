@@ -224,7 +224,7 @@ class TestEngaged:
         other.with_tool().ready()
         other.tool.inputs = {"gripped": True}
         other.tell()
-        assert other.executor.engagement.engaged and other.executor.engagement.settled
+        assert other.executor.engagement.engaged and other.executor.engagement.saved
         plan = way_back(other)
         offer_back(other, plan)
         other.review(plan.id, plan.hash, True, "Ada")

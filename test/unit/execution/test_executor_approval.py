@@ -58,7 +58,7 @@ class TestApproval:
         plan = make_plan()
         bench.executor.offer(plan)
         bench.review("p", plan.hash, False, "Ada", "too close to the wall")
-        assert [(v.verdict, v.reason) for v in bench.executor.take_events()] == [("rejected", "too close to the wall")]
+        assert [(v.verdict, v.reason) for v in bench.executor.pop_events()] == [("rejected", "too close to the wall")]
         with pytest.raises(ReviewError, match="was decided already or withdrawn"):
             bench.approve(plan)
         assert set(bench.run(10)) == {ROBOT.home}
@@ -202,7 +202,7 @@ class TestRecordFirst:
         bench.record = self.refuse
         assert bench.review("p", plan.hash, False, "Ada") == "plan p rejected by Ada"
         assert bench.executor.under_review.plan is None
-        assert [event.verdict for event in bench.executor.take_events()] == ["rejected"]
+        assert [event.verdict for event in bench.executor.pop_events()] == ["rejected"]
 
     def test_a_rejection_while_an_approval_is_written_down_is_carried_out_at_once(self, bench):
         plan = make_plan()
@@ -320,7 +320,7 @@ class TestAge:
     @pytest.mark.parametrize("work", [False, True])
     def test_what_an_arm_that_trails_kept_from_beginning_never_begins_by_itself(self, bench, work):
         bench.with_tool()
-        bench.executor.limit.trail(2.0)
+        bench.executor.limit.on_lag(2.0)
         bench.play(make_work_plan() if work else make_plan(), SECOND * 34 // 10)
         assert bench.state is ExecutorState.IDLE and bench.executor.outcome == "stopped"
         assert "not begun, waits on the path until the arm has caught up" in bench.executor.reason
@@ -330,7 +330,7 @@ class TestAge:
     def test_what_a_speed_limit_kept_from_moving_never_begins_by_itself(self, bench, work, limit):
         plan = make_work_plan() if work else make_plan()
         bench.with_tool()
-        bench.executor.limit.take(limit, "speed limit 0 by /scanner: somebody is near")
+        bench.executor.limit.set_fraction(limit, "speed limit 0 by /scanner: somebody is near")
         bench.play(plan, SECOND * 29 // 10)
         assert bench.state is ExecutorState.PLAYING
         bench.run(SECOND // 2)
@@ -338,16 +338,16 @@ class TestAge:
         assert "not begun, speed limit 0 by /scanner: somebody is near: an approval is void after 3 s" in (
             bench.executor.reason
         )
-        bench.executor.limit.take(1.0)
+        bench.executor.limit.set_fraction(1.0)
         bench.run(SECOND)
         assert np.abs(np.array(bench.outputs[3:]) - ROBOT.home).max() < START_TOLERANCE
 
     @pytest.mark.parametrize("limit", [0.005, 0.02])
     def test_what_moves_slowly_goes_on(self, bench, limit):
-        bench.executor.limit.take(limit, "somebody is near")
+        bench.executor.limit.set_fraction(limit, "somebody is near")
         bench.play(make_plan(), 4 * SECOND)
         assert bench.state is ExecutorState.PLAYING
-        bench.executor.limit.take(1.0)
+        bench.executor.limit.set_fraction(1.0)
         bench.run_until_idle()
         assert bench.executor.outcome == "finished"
 
@@ -376,14 +376,14 @@ class TestAge:
         assert bench.state is ExecutorState.PLAYING
 
     def test_what_has_begun_to_move_within_its_time_goes_on_after_it(self, bench):
-        bench.executor.limit.take(0.0, "somebody is near")
+        bench.executor.limit.set_fraction(0.0, "somebody is near")
         bench.play(make_plan(), SECOND * 29 // 10)
-        bench.executor.limit.take(1.0)
+        bench.executor.limit.set_fraction(1.0)
         bench.run(10)
-        bench.executor.limit.take(0.0, "somebody is near")
+        bench.executor.limit.set_fraction(0.0, "somebody is near")
         bench.run(5 * SECOND)
         assert bench.state is ExecutorState.PLAYING and bench.executor.limit.standing
-        bench.executor.limit.take(1.0)
+        bench.executor.limit.set_fraction(1.0)
         bench.run_until_idle()
         assert bench.executor.outcome == "finished"
 
@@ -391,7 +391,7 @@ class TestAge:
         bench.executor.offer(make_plan())
         self.slow(bench, 120.0)
         assert bench.approval.approve_by_itself(bench.stamp) is None
-        (event,) = bench.executor.take_events()
+        (event,) = bench.executor.pop_events()
         assert event.verdict == "withdrawn" and "too old" in event.reason and bench.state is ExecutorState.IDLE
 
 
@@ -415,7 +415,7 @@ class TestScene:
         plan = make_plan()
         bench.executor.offer(plan)
         bench.executor.on_scene("0ther")
-        (event,) = bench.executor.take_events()
+        (event,) = bench.executor.pop_events()
         assert (event.verdict, event.plan, event.reviewer) == ("withdrawn", plan, "executor")
         assert event.reason == "the scene changed from 5ce0e to 0ther; plan again"
         bench.executor.on_scene(SCENE)
@@ -481,9 +481,9 @@ class TestWithdrawn:
     def test_a_plan_that_leaves_the_desk_by_itself_is_reported(self, bench, action, reason):
         bench.executor.offer(make_plan())
         action(bench)
-        (event,) = bench.executor.take_events()
+        (event,) = bench.executor.pop_events()
         assert (event.plan_id, event.verdict, event.reason) == ("p", "withdrawn", reason)
-        assert bench.executor.take_events() == []
+        assert bench.executor.pop_events() == []
 
 
 class TestAutoApprove:
@@ -506,7 +506,7 @@ class TestAutoApprove:
         for _ in range(3):
             assert bench.approval.approve_by_itself(bench.stamp) is None
         assert [record.verdict for record in bench.records] == ["refused"]
-        (event,) = bench.executor.take_events()
+        (event,) = bench.executor.pop_events()
         assert event.verdict == "withdrawn" and "from the present pose" in event.reason
         assert set(bench.run(100)) == {ROBOT.home}
 
@@ -521,7 +521,7 @@ class TestAutoApprove:
         bench.executor.offer(make_plan(scene="n3w"))
         assert bench.approval.approve_by_itself(0) is None
         assert bench.approval.approve_by_itself(SCENE_DELAY + 1) is None
-        assert "made for scene n3w" in bench.executor.take_events()[0].reason
+        assert "made for scene n3w" in bench.executor.pop_events()[0].reason
         assert bench.executor.under_review.plan is None
 
 

@@ -44,7 +44,7 @@ class Beside(Bench):
         return self.approval.review(self.plan.id, self.plan.hash, True, "tester").answer
 
     def ending(self) -> Ending:
-        return next(event for event in self.executor.take_events() if isinstance(event, Ending))
+        return next(event for event in self.executor.pop_events() if isinstance(event, Ending))
 
 
 def test_a_free_way_is_played_to_its_end():

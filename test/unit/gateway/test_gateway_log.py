@@ -13,7 +13,7 @@ from construction_twin.gateway.mqtt_side import QUIET, MqttSide
 
 def test_a_status_waits_for_an_answer_while_telegrams_come_and_for_nothing_without_a_controller():
     second = NANOSECONDS
-    side = SimpleNamespace(now=10 * second, _due_at=0, _heard_at=0)
+    side = SimpleNamespace(now=10 * second, _due_at=0, _received_at=0)
 
     def is_due(at, answered):
         side.now = round(at * second)

@@ -8,7 +8,7 @@ import re
 import pytest
 from gate_bench import CODEC, FIRST_STEP, SETTINGS, START, Bench, moved
 
-from construction_twin.core.sentences import told
+from construction_twin.core.sentences import templates_of
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.monitor.states import SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
@@ -151,7 +151,7 @@ class TestHolding:
         assert bench.state is SyncState.IN_SYNC
         bench.gate.watch(bench.stamp + timeout + 1)
         assert (bench.state, bench.gate.violations, bench.gate.held) == (SyncState.STALE, 1, START)
-        assert bench.gate.reason.startswith("last comparable feedback is ") and told(bench.gate.reason)
+        assert bench.gate.reason.startswith("last comparable feedback is ") and templates_of(bench.gate.reason)
 
     def test_closes_without_a_setpoint_when_a_joint_differs_and_counts_once(self):
         bench = Bench().opened()

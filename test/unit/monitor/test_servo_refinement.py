@@ -18,7 +18,7 @@ def work(refinement: Refinement, residual, samples: int = ENOUGH + 200) -> dict:
     for number in range(samples):
         speed = math.sin(number / 200.0)
         refinement.learn((residual(number, speed), 0.0), (speed, 0.0))
-    return refinement.take() if refinement.due else {}
+    return refinement.apply() if refinement.due else {}
 
 
 def test_a_lag_is_learned_step_by_step_and_no_further_than_its_reach():

@@ -111,7 +111,7 @@ class Cell(RuleBasedStateMachine):
         self.twin = self.command = command
 
     def check_transitions(self):
-        for change in self.gate.take_transitions():
+        for change in self.gate.pop_transitions():
             assert change.target in {row.target for row in ROWS[change.source, change.event]}
             assert change.source is self.state and change.reason and 0 < change.at <= self.stamp
             if change.source is SyncState.STOPPED is not change.target:

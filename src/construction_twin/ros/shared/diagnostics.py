@@ -58,12 +58,12 @@ class RefusalLog:
         self._strangers: Counter[str] = Counter()
 
     def note(self, reason: str, sentence: str) -> str | None:
-        """Count a refusal; return what to append to its line, None when none is to be written (`LineLimiter.note`)."""
+        """Count a refusal; return what to append to its line, None when none is to be written (`LineLimiter.admit`)."""
         with self._lock:
             if reason == PUBLISHER and (sentence in self._strangers or len(self._strangers) < KEPT):
                 self._strangers[sentence] += 1
                 return "" if self._strangers[sentence] == 1 else None
-            return self._lines.note(reason, self._clock())
+            return self._lines.admit(reason, self._clock())
 
     def strangers(self) -> dict[str, int]:
         """Return how often each stranger was refused, by its sentence."""

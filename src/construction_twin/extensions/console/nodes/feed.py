@@ -17,8 +17,8 @@ from typing import Generic, TypeVar
 from genpy import Message
 
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
-from construction_twin.core.freshness import present
-from construction_twin.core.records import SPACED, dumped
+from construction_twin.core.freshness import present_moment
+from construction_twin.core.records import SPACED, to_json
 from construction_twin.core.reports import (
     ExecutionReport,
     HoldReport,
@@ -227,12 +227,12 @@ class ConsoleFeed:
             self._connection.refuse("scene", str(error))
             return
         self._scene = scene
-        self._keep(self._topics.scene, dumped(scene_view(scene, self._base_link)))
+        self._keep(self._topics.scene, to_json(scene_view(scene, self._base_link)))
 
     def on_tasks(self, message: WorkTasks) -> None:
         """Tell the tasks."""
         self._work = from_msg(WorkReport, message)
-        self._keep(self._topics.work_tasks, dumped(self._work, said=True))
+        self._keep(self._topics.work_tasks, to_json(self._work, translatable=True))
 
     # -- to MQTT
 
@@ -283,7 +283,7 @@ class ConsoleFeed:
 
     def _view(self) -> bytes:
         # before anything is looked at: whoever repeats it has seen nothing newer
-        moment, seen = present(), self.seen()
+        moment, seen = present_moment(), self.seen()
         self._twin_seen, self._arm_seen = (
             self._twin_seen or seen.twin is not None,
             self._arm_seen or seen.arm is not None,
@@ -321,7 +321,7 @@ class ConsoleFeed:
         self._looked = now
         lines = self._lines(self._link.shown(LINK_AGE), self._sync.shown(SYNC_AGE), self._present_execution())
         self.messages.on_lines(lines)
-        payload = dumped(lines, marks=SPACED)
+        payload = to_json(lines, separators=SPACED)
         if payload == self._told and now - self._told_at < REPEAT:
             return
         self._told, self._told_at = payload, now
