@@ -241,6 +241,6 @@ class MqttSide:
 
     def say(self, level: int, kind: str, text: str) -> None:
         """Write a line of a kind, not too often."""
-        note = self._lines.note(kind, self.now)
+        note = self._lines.admit(kind, self.now)
         if note is not None:
             log.log(level, "%s: %s%s", kind, text, note)

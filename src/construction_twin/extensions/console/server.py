@@ -197,7 +197,7 @@ class ConsoleServer:
 
     def _say(self, kind: str, level: int, sentence: str) -> None:
         """Write a line that others can cause: one of its kind per second."""
-        if (more := self._lines.note(kind, time.monotonic_ns())) is not None:
+        if (more := self._lines.admit(kind, time.monotonic_ns())) is not None:
             log.log(level, "%s%s", sentence, more)
 
     # -- files
