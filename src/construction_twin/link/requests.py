@@ -243,26 +243,26 @@ class Acknowledgement(Request):
     message: Id
 
 
-class Pressed(Request):
+class ButtonPress(Request):
     """A message on `stop/<account>` or `pause/<account>`. A moment in it is not read: it must not be lost by that."""
 
     id: Annotated[Id, AfterValidator(_not_blank)]
     moment: Annotated[str, PlainValidator(lambda _: "")] = ""
 
 
-class PressedAsSeen(Pressed):
+class StampedButtonPress(ButtonPress):
     """A message on `resume/<account>`, `reset/<account>` or `arm/<account>`."""
 
     moment: Annotated[str, PlainValidator(lambda value: str(parse_moment(value)))] = Field("", validate_default=True)
 
 
-class LowerSpeed(Pressed):
+class LowerSpeed(ButtonPress):
     """A message on `lower_speed/<account>`."""
 
     limit: Annotated[Number, Field(ge=LEAST_SPEED, le=1.0)]
 
 
-class RaiseSpeed(PressedAsSeen):
+class RaiseSpeed(StampedButtonPress):
     """A message on `raise_speed/<account>`."""
 
     limit: Annotated[Number, Field(ge=LEAST_SPEED, le=1.0)]

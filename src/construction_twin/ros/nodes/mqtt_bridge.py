@@ -20,7 +20,7 @@ from construction_twin.core.reports import SessionRequest
 from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.link.bridge import PLC_HALTED, Asked, Bridge, JointStrings
+from construction_twin.link.bridge import PLC_HALTED, Bridge, JointStrings, PendingRequest
 from construction_twin.link.gateway_status import parse_answer, parse_status
 from construction_twin.link.observations import LinkState
 from construction_twin.mqtt.client import Broker, make_client, unique_id
@@ -35,7 +35,7 @@ from construction_twin.ros.messages.tool import tool_report_to_msg
 from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import OK, WARN, DeferredLog, Diagnosis
 from construction_twin.ros.shared.gateway_config import config_of_link
-from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
+from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, connection_log
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.stop_memory import StopMemory
 from construction_twin.ros.transport.joint_stream import now_ns
@@ -86,7 +86,7 @@ class MqttBridge:
         self._lock = threading.Lock()
         # orders what is published on `tool`: it comes from several threads
         self._tool_lock = threading.Lock()
-        self._topics, self._broker, self._client, self._connection = topics, broker, client, report_of(broker)
+        self._topics, self._broker, self._client, self._connection = topics, broker, client, connection_log(broker)
         self._publishers, self._diagnostics = node_io.publishers, node_io.diagnostics
         self._physical, self._feedback = (self._publishers[f"physical/{name}"] for name in ("joint_states", "feedback"))
         self._side_effects, self._log = SideEffects(), DeferredLog()
@@ -250,7 +250,7 @@ class MqttBridge:
         self._log.add(rospy.loginfo, "%s asked for by %s: %s", verb, person or "a service", asked.lifts)
         return Outcome(*self._wait(asked))
 
-    def _wait(self, asked: Asked) -> tuple[bool, str]:
+    def _wait(self, asked: PendingRequest) -> tuple[bool, str]:
         while True:
             ending = rospy.is_shutdown()
             with self._lock:
@@ -294,7 +294,7 @@ class MqttBridge:
             is_due, has_changed = self._bridge.news(now, connection)
             if not is_due:
                 return
-            report = self._bridge.report(connection, refused, rospy.Time.now().to_nsec())
+            report = self._bridge.state_report(connection, refused, rospy.Time.now().to_nsec())
             status = self._bridge.status()
         self._publishers["link"].publish(to_msg(report, Link))
         if has_changed:

@@ -123,7 +123,7 @@ class SpeedLimitService:
         try:
             if request.limit > limits.people.limit:
                 with self._file_lock:
-                    self._write(limits.asked(*given, present(), now_ns()))
+                    self._write(limits.requested_change(*given, present(), now_ns()))
                     if self._file_problem:
                         raise PayloadError("file", f"the speed limit of people is not raised: {self._file_problem}")
             with self._lock:
@@ -160,14 +160,14 @@ class SpeedLimitService:
         self._memory.keep(memory, time.monotonic_ns())
 
     def _publish(self) -> None:
-        if report := self._limits.report(time.monotonic_ns()):
+        if report := self._limits.state_report(time.monotonic_ns()):
             self._in_force.publish(to_msg(replace(report, stamp=now_ns()), msg.SpeedLimitInForce))
 
     def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         program = self._limits.program
         with self._lock:
-            said = self._limits.report(time.monotonic_ns())
+            said = self._limits.state_report(time.monotonic_ns())
         limit, reason = (said.limit, said.reason) if said else (1.0, program.reason)
         values = {"speed limit": f"{limit:.3f}", "speed limit because": reason}
         slow = program.state in (LimitState.SILENT, LimitState.MISSING)

@@ -32,7 +32,7 @@ from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.mqtt.messages import MAX_IDENTITY_BYTES, Topics, account_of, identity_of
 from construction_twin.mqtt.requests import RequestKind, answer_limits
 from construction_twin.ros.shared.diagnostics import DeferredLog
-from construction_twin.ros.shared.mqtt_connection import connect, report_of
+from construction_twin.ros.shared.mqtt_connection import connect, connection_log
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.persistent_service import ServiceSilentError
 
@@ -56,7 +56,7 @@ class Connection:
 
     def __init__(self, broker: Broker, client: FastClient, topics: Topics, refuse: Callable[[str, str], None]):
         self._broker, self._client, self.topics, self.refuse = broker, client, topics, refuse
-        self._state = report_of(broker)
+        self._state = connection_log(broker)
         self.endpoints: list[Endpoint] = []
         self.counts: Counter[str] = Counter()
         self._counting = threading.Lock()
