@@ -32,8 +32,8 @@ from construction_twin.extensions.console.remote_review import (
 from construction_twin.extensions.console.remote_view import (
     ClosestView,
     PoseView,
-    Seen,
     Shown,
+    ViewInputs,
     ViewWriter,
 )
 from construction_twin.kinematics.chain import Chain, Pose
@@ -259,7 +259,7 @@ class ScriptedRobot:
             stamp = now / 1e9
             plan = self.trajectory
             progress = 0.0 if plan is None or not self._playing else min(1.0, self._elapsed / plan.duration)
-            seen = Seen(
+            seen = ViewInputs(
                 twin=PoseView(stamp, 0.0, tuple(self.twin)),
                 arm=PoseView(self.arm_stamp or stamp, 0.0, tuple(self.twin + self.arm_error)),
                 expected=None

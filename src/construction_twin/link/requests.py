@@ -60,7 +60,7 @@ Reason = Annotated[str, StringConstraints(max_length=500), AfterValidator(_print
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 #: Of the limits; 0: the planner's default.
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
-Seen = Annotated[Moment, PlainValidator(parse_moment)]
+ParsedMoment = Annotated[Moment, PlainValidator(parse_moment)]
 #: JSON has lists only.
 Vector = Annotated[
     tuple[Number, ...], BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
@@ -233,7 +233,7 @@ class AnswerRequest(Request):
     task: Id
     question: Annotated[str, StringConstraints(min_length=1, max_length=2000)]
     answer: Id
-    moment: Seen
+    moment: ParsedMoment
 
 
 class Acknowledgement(Request):
@@ -310,7 +310,7 @@ class WayBack(Request):
 
     id: Id
     kind: str
-    moment: Seen = Field("", validate_default=True)
+    moment: ParsedMoment = Field("", validate_default=True)
 
 
 _SCALES: Any = {"speed_scale": (Fraction, 0.0), "acceleration_scale": (Fraction, 0.0)}

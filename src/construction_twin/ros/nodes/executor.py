@@ -355,7 +355,7 @@ class ExecutorNode:
             "speed limit because": self._limit.reason,
             "records": log.lines,
             "records lost": log.lost,
-        } | self.side_effects.report()
+        } | self.side_effects.status_fields()
         if problem := self._disk.problem:
             return Diagnosis(ERROR, problem, values)
         with self._lock:

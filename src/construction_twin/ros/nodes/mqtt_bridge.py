@@ -313,7 +313,7 @@ class MqttBridge:
         with self._lock:
             state = self._supervisor.state
             sentence = f"{state.name}: {self._bridge.reason(self._connection.sentence)}"
-            values = self._bridge.values() | self._side_effects.report()
+            values = self._bridge.values() | self._side_effects.status_fields()
         problems = [memory.problem for memory in self._kept]
         if problem := next(filter(None, [*problems, self._side_effects.sentence]), ""):
             return Diagnosis(WARN, f"{sentence}; {problem}", values)

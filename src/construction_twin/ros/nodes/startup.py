@@ -27,7 +27,7 @@ from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
 from construction_twin.ros.shared.start_refusal import AGAIN, TOPIC, launch
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
-from construction_twin.views.startup import Deployment, Seen, StartUp, Word
+from construction_twin.views.startup import Deployment, ReportedState, StartUp, StartupInputs
 
 #: How often it checks [s].
 PERIOD = 0.25
@@ -144,15 +144,15 @@ class StartupNode:
         reports = {"link": snapshot.link, "sync": snapshot.sync, "execution": snapshot.execution}
         # a node that fell silent is not there
         words = {
-            name: Word(facts.text, facts.reason, getattr(facts, "gateway_state", ""))
+            name: ReportedState(facts.text, facts.reason, getattr(facts, "gateway_state", ""))
             for name, facts in reports.items()
             if facts is not None and name not in snapshot.silent
         }
         told = snapshot.link.gateway_counters if snapshot.link is not None and "link" in words else {}
         link, sync, execution = (words.get(name) for name in reports)
         feedback, twin, scene = (topic in self.came for topic in (FEEDBACK, TWIN, SCENE))
-        seen = Seen(link, sync, execution, feedback, twin, scene, told.get("controller_sentence", ""))
-        for line in self._startup.update(seen, now):
+        inputs = StartupInputs(link, sync, execution, feedback, twin, scene, told.get("controller_sentence", ""))
+        for line in self._startup.update(inputs, now):
             waits = self._startup.missing is not None
             (rospy.logwarn if waits else rospy.loginfo)("%s", line)
 

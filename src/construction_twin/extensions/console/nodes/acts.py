@@ -153,12 +153,12 @@ class _Approvals(RequestQueue):
         super().__init__(WAITING)
         self._rejections = rejections
 
-    def take(self, request: Incoming) -> None:
+    def enqueue(self, request: Incoming) -> None:
         """Let a verdict wait in its queue."""
         if request.asked.verdict == "rejected":
-            self._rejections.take(request)
+            self._rejections.enqueue(request)
         else:
-            super().take(request)
+            super().enqueue(request)
 
 
 def _run_queue(queue: RequestQueue) -> None:

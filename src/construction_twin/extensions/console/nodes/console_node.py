@@ -120,7 +120,7 @@ class ConsoleNode:
         plan, (acts, others) = self.shown_plan, self._connections
         own_plan = {acts.topics.plan: lambda message: plan.on_own_plan(bytes(message.payload))}
         acts.connect(plan.first, plan.publish_rehearsal, own_plan)
-        others.connect(self.feed.first, self.feed.publish_retained)
+        others.connect(self.feed.first, self.feed.republish_retained)
 
     def run(self) -> None:
         """Carry out what is asked for, and show everything, until shutdown."""
@@ -136,7 +136,7 @@ class ConsoleNode:
         while not rospy.is_shutdown():
             self.requests.queue.run(0.2)
         viewer.join(1.0)
-        self.shown_plan.take_away()
+        self.shown_plan.clear_retained()
         self.feed.publish_offline()
         for connection in self._connections:
             connection.disconnect()
@@ -186,9 +186,9 @@ class ConsoleNode:
         """Return the state for `/diagnostics`."""
         values: dict[str, object] = {"trajectories waiting": self.requests.queue.waiting}
         for connection in reversed(self._connections):
-            values |= connection.report()
+            values |= connection.status_fields()
         failed = [connection.side_effects.sentence for connection in self._connections]
-        if problem := next(filter(None, (*failed, *(connection.problem for connection in self._connections))), ""):
+        if problem := next(filter(None, (*failed, *(connection.fault for connection in self._connections))), ""):
             return Diagnosis(WARN, problem, values)
         shown = "a plan is shown" if self.shown_plan.plan else "no plan to review"
         taken = "are taken" if self._settings.trajectories else "are not taken (trajectories: false)"
