@@ -68,7 +68,7 @@ class LastResort:
         acknowledged: tuple[float, ...],
         missed: int | None,
     ) -> None:
-        """Store a reply to a telegram of this stamp [ms] and count; `acknowledged`: the target that the controller keeps if it is lost."""
+        """Store a reply to the telegram of a stamp [ms]; `acknowledged`: the target that the controller keeps if it is lost."""
         self.target, self._last_acknowledged, self.stamp, self._source = target, acknowledged, stamp, source
         self._missed = missed or 0
 

@@ -107,9 +107,7 @@ class CommandIntake:
         self._longest_gap = round(config.silence * NANOSECONDS)
         self._check = MotionCheck(self._limits, config.decimals)
 
-    def begin_stream(
-        self, held: tuple[float, ...], stamp: int, q: tuple[float, ...], waited: int, now: int
-    ) -> None:
+    def begin_stream(self, held: tuple[float, ...], stamp: int, q: tuple[float, ...], waited: int, now: int) -> None:
         """Take the first command of a stream; MotionRefused when it is out of range, or away from the pose `held` (``start``)."""
         self._limits.check_range(q)
         tolerances = self._config.start_tolerances

@@ -236,9 +236,7 @@ class CommandSide:
         gateway, now = self._gateway, occasion.now
         assert gateway.player.follower is not None  # an armed gateway has one
         held = gateway.player.follower.position
-        self._gateway.intake.begin_stream(
-            held, occasion.stamp, occasion.q, now - gateway.controller.received_at, now
-        )
+        self._gateway.intake.begin_stream(held, occasion.stamp, occasion.q, now - gateway.controller.received_at, now)
 
     # -- control
 
