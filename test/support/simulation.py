@@ -217,7 +217,7 @@ class SimulatedChain:
         stamp = self.now
         self._at(stamp + CYCLE_NS, self._execute)
         gate = self.gate
-        self.executor.on_sync(gate.state, gate.agreed(stamp), gate.policy, gate.held_stamp)
+        self.executor.on_sync(gate.state, gate.is_agreed(stamp), gate.policy, gate.held_stamp)
         last = gate.comparison.last
         if last is not None:
             self.executor.limit.on_lag(last.round_trip, last.servo_lag)
@@ -314,9 +314,9 @@ class SimulatedChain:
         correction = self.gateway.on_telegram(telegram, "controller", self.now)
         if correction is not None:
             self.corrections.append((telegram.controller_ms, correction))
-            stop, switched = True if self.gateway.ends else None, ()
+            stop, switched = True if self.gateway.ends_program else None, ()
             if tool is not None:
-                switched = tool.channels(self.gateway.ends)
+                switched = tool.channels(self.gateway.ends_program)
                 self.switched.append((self._played, switched))
             reply = self._encoder.encode(correction, telegram.controller_ms, stop, switched)
             self._carry(self.faults.to_controller, reply, self._take_reply)
@@ -363,7 +363,7 @@ class SimulatedChain:
             self.twin.assume_pose(q)
         self.supervisor.inputs.on_pose(q, self.now)
         self.gate.on_physical(q, properties.command_stamp, self.now, seq=properties.seq)
-        watch = self.gate.watch_of_servos
+        watch = self.gate.servo_watch
         if watch is not None and watch.expected:
             self.expected.append((self.now, watch.expected))
         self._note_transitions()
@@ -389,7 +389,7 @@ class SimulatedChain:
                     self.backend.restart()
             self._session = self.supervisor.session
         mirrors = self.supervisor.state is LinkState.MIRROR
-        self.gate.mirror(mirrors, self.now)
+        self.gate.set_mirrored(mirrors, self.now)
         if mirrors:
             self.twin.begin_mirror(MotionLimits.of(self.robot))
         else:

@@ -89,7 +89,7 @@ class LastResort:
         return not any(self._step)
 
     @property
-    def ends(self) -> bool:
+    def ends_program(self) -> bool:
         """True when replies end the program."""
         return self.ending and self.at_rest and not self._over and bool(self.target)
 
@@ -130,4 +130,4 @@ class LastResort:
         self._last_acknowledged = self.target
         self.target = tuple([value + step for value, step in zip(self.target, self._step)])
         self.stamp = stamp
-        return self._bare.write(self._texts[self.ends], self.target, stamp)
+        return self._bare.write(self._texts[self.ends_program], self.target, stamp)

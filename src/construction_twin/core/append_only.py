@@ -81,7 +81,7 @@ class AppendOnlyFile:
             raise ConfigurationError(str(self.path), str(error), f"a file that no other {writer} writes") from error
 
     def defer(self, now: int, fields: dict) -> None:
-        """Keep a line of this time since 1970 [ns] for the next `flush`; does not touch the disk."""
+        """Queue a line of this time since 1970 [ns] for the next `flush`; does not touch the disk."""
         if len(self._deferred) >= MAX_DEFERRED:
             # no verdict is taken meanwhile: `append` writes these first, and fails
             self._lost_at = now
@@ -108,7 +108,7 @@ class AppendOnlyFile:
             self._append(now, fields)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         os.close(self._file)
 
     def _append(self, now: int, fields: dict) -> None:

@@ -88,7 +88,7 @@ class Follower:
         self._target = list(self.position)
 
     def undo_step(self) -> None:
-        """Stand where the arm was before the last step, which it was not told to take."""
+        """Stand where the arm was before the last step, whose reply was lost."""
         self.position = self._before
         self.rest()
 

@@ -45,7 +45,7 @@ class SpeedLimit:
         self.fraction, self.name, self._received_at = fraction, name, now
 
     def accept(self, fraction: float, name: str, now: int, words: str = "", sentence: str = "") -> None:
-        """Take what a source says, unless another one is heard: two that alternate would change the speed all the time.
+        """Check and store what a source asks for, unless another one is fresh: two in turns would change the speed all the time.
 
         `words` say why; `sentence` stands in place of one made of them, where the source says whose limit it passes on. After a
         PayloadError (``speed_limit``, ``speed_limit_source``) nothing has changed, and the deadline runs on.

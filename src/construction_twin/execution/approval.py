@@ -26,7 +26,7 @@ from construction_twin.execution.playback import START_TOLERANCE
 from construction_twin.execution.segment_run import tool_missing, tool_pending
 from construction_twin.execution.states import ACTIVE, ExecutorState
 from construction_twin.monitor.states import SyncState
-from construction_twin.review.plan_under_review import APPROVED, REFUSED, REJECTED, Ending, Verdict, prove_hash
+from construction_twin.review.plan_under_review import APPROVED, REFUSED, REJECTED, Ending, Verdict, check_hash
 from construction_twin.review.record import Release
 from construction_twin.review.rehearsal_report import RehearsalCheck
 from construction_twin.robot.description import RobotModel
@@ -50,7 +50,7 @@ class ConflictVerdicts:
         self._plan_id, self._obstacle, self._at = "", "", 0
 
     def on_verdict(self, plan_id: str, problem: str, now: int) -> None:
-        """Take a verdict: why a plan must not be played; empty: its path is free."""
+        """Store a verdict: why a plan must not be played; empty: its path is free."""
         self._plan_id, self._obstacle, self._at = plan_id, problem, now
 
     def obstacle(self, plan_id: str, now: int) -> str:
@@ -65,7 +65,7 @@ class ConflictVerdicts:
 
 
 @dataclass(frozen=True)
-class WithoutPerson:
+class AutoApproval:
     """Which plans need no person: by their sources, or the names of clients that these end with.
 
     Whoever asks for a plan chooses these words: they are no proof of who it was.
@@ -132,8 +132,8 @@ class Approval:
         self.obstacle, self.overridable = "", False
         self._started = clock()
         # one verdict after the other: the record must keep the order in which verdicts took effect
-        self._one_verdict_at_a_time = threading.RLock()
-        # of the plan that waits, for `approve_by_itself`: its id, and when it was seen first [ns]
+        self._verdict_lock = threading.RLock()
+        # of the plan that waits, for `approve_automatically`: its id, and when it was seen first [ns]
         self._waiting, self._waits_since = "", 0
 
     def offer(self, plan: Plan) -> None:
@@ -189,14 +189,14 @@ class Approval:
             return verdict
         # before the verdicts that are waited for
         moment = self._clock() if seen is None else seen
-        with self._one_verdict_at_a_time:
+        with self._verdict_lock:
             try:
-                self._approval_left(moment)
+                self._approval_time_left(moment)
                 with self._lock:
                     plan = self._executor.under_review.plan
                 if plan is not None and plan.id == plan_id:
                     # once, outside of the lock: a plan cannot change, so that it holds when it is carried out
-                    prove_hash(plan)
+                    check_hash(plan)
                 with self._lock:
                     verdict = self._examine(plan_id, plan_hash, True, reviewer, reason, override)
             except ReviewError as error:
@@ -214,7 +214,7 @@ class Approval:
                     self._record(Ending(verdict.plan, "dropped", reason))
                 raise
 
-    def approve_by_itself(self, now: int, which: WithoutPerson = WithoutPerson(every=True)) -> Verdict | None:
+    def approve_automatically(self, now: int, which: AutoApproval = AutoApproval(every=True)) -> Verdict | None:
         """Approve the waiting plan as soon as it may start; withdraw it when it may not. None: there is nothing to do yet.
 
         `which` says which plans need no person. RecordError when it cannot be recorded; the plan is withdrawn.
@@ -249,7 +249,7 @@ class Approval:
         with self._lock:
             if seen is None:
                 return self._executor.resume()
-            left, problem = self._left(seen)
+            left, problem = self._time_left(seen)
             if problem:
                 raise ExpiredError(Sentence("the resume is {problem}", problem=problem))
             if seen.at <= self._executor.rested:
@@ -268,12 +268,12 @@ class Approval:
         asked = self._clock()
         self._record(release)
         try:
-            if problem := self._left(asked)[1]:
+            if problem := self._time_left(asked)[1]:
                 raise ExpiredError(Sentence("the release is {problem}", problem=problem))
             with self._lock:
                 if self._releasable() is not left:
                     raise ExecutionError(Sentence("the arm was left in another engaged segment meanwhile; look again"))
-                self._executor.engagement.end()
+                self._executor.engagement.clear()
         except (ExecutionError, ExpiredError) as error:
             # something happened while it was written down: the record is corrected
             self._record(replace(release, refused=str(error)))
@@ -288,8 +288,8 @@ class Approval:
 
     # -- what is against it
 
-    def look_for_obstacle(self) -> None:
-        """Look anew why the plan under review could not be approved now, and whether only its rehearsal is against it."""
+    def update_obstacle(self) -> None:
+        """Find anew why the plan under review could not be approved now, and whether only its rehearsal is against it."""
         with self._lock:
             plan = self._executor.under_review.plan
             self.obstacle, self.overridable = "", False
@@ -390,20 +390,20 @@ class Approval:
         if not reason.strip():
             raise ReviewError(Sentence("to override the rehearsal of plan {plan}, say why", plan=plan.id))
 
-    def _left(self, moment: Moment) -> tuple[int, str]:
+    def _time_left(self, moment: Moment) -> tuple[int, str]:
         """Return how long a person's word may still wait for motion [ns], and why that is over; "" while it is not."""
         now = self._clock()
         return LIFETIME - (now.at - moment.at), staleness(moment, now)
 
-    def _approval_left(self, moment: Moment) -> int:
-        left, problem = self._left(moment)
+    def _approval_time_left(self, moment: Moment) -> int:
+        left, problem = self._time_left(moment)
         if problem:
             raise ExpiredError(Sentence("the approval is {problem}", problem=problem))
         return left
 
     def _begin_approved(self, verdict: Verdict, moment: Moment) -> None:
         """Begin what an approval that was recorded is for, if it still may."""
-        left, known = self._approval_left(moment), verdict.rehearsal
+        left, known = self._approval_time_left(moment), verdict.rehearsal
         override = known.hash if known is not None and known.overridden else None
         self._examine(verdict.plan_id, verdict.plan_hash, True, verdict.reviewer, verdict.reason, override)
         plan = self._executor.under_review.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)

@@ -125,11 +125,11 @@ class EngagementStore:
 
     @property
     def saved(self) -> bool:
-        """Whether the disk says what is so."""
+        """Whether `present` is on the disk."""
         return self.written is self.present
 
     def save(self, lock: AbstractContextManager, file: Path) -> None:
-        """Have the disk say what is so; not under the lock, which it holds to look. Raises ExecutionError."""
+        """Save `present`; holds the lock only to read and to confirm it. Raises ExecutionError."""
         with lock:
             present, saved = self.present, self.saved
         if not saved:
@@ -137,16 +137,16 @@ class EngagementStore:
             with lock:
                 self.written = present
 
-    def leave_inside(self, engagement: Engagement) -> None:
-        """The arm was left inside."""
+    def mark_engaged(self, engagement: Engagement) -> None:
+        """Record that the arm was left inside."""
         self.present, self.engaged = engagement, True
 
-    def end(self) -> None:
-        """The arm is out, or was freed."""
+    def clear(self) -> None:
+        """Record that the arm is out, or was freed."""
         self.present, self.engaged = None, False
 
     def on_pose(self, pose: Sequence[float]) -> None:
-        """Take the arm's pose at the start, shape (n,): an arm at the beginning of the path is not inside."""
+        """Clear at the first pose, shape (n,), where it is at the beginning of the path: such an arm is not inside."""
         if not self._pose_unknown or self.present is None:
             return
         self._pose_unknown = False
@@ -155,7 +155,7 @@ class EngagementStore:
         away = np.abs(path.trajectory.sample(entry.time)[0] - path.trajectory.positions[0]).max()
         # a path that comes by there again has its last passage later
         if max(entry.distance, away) <= WAY_BACK_TOLERANCE and entry.time <= 0.5 * path.end:
-            self.end()
+            self.clear()
 
 
 # -- the file, there as long as the arm is inside an engaged segment

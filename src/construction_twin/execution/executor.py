@@ -275,7 +275,7 @@ class Executor(ExecutorMachine):
         self._acted, self.rested = True, now
         before, plan = self.state, self._played.plan.id
         if before in (ExecutorState.PLAYING, ExecutorState.AT_BOUNDARY):
-            self.under_review.void_coming(now)
+            self.under_review.void_requests_before(now)
         self._on(ExecutorEvent.PAUSE, Sentence("pause requested"))
         if before is ExecutorState.AT_BOUNDARY:
             where = self.side_effects.run("where a pause rests", lambda: self._work.where)

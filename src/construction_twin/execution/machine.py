@@ -56,7 +56,7 @@ class PlayRate:
         return 0.0 if self.waits else self.fraction
 
     def on_lag(self, round_trip: float, servo_lag: float = 0.0) -> None:
-        """Take how long the arm trails the setpoints: the round trip, and what its servos trail beyond that [s]; nan: not known."""
+        """Store how long the arm trails the setpoints: the round trip, and its servos' lag beyond that [s]; nan: unknown."""
         lag = round_trip + (servo_lag if 0.0 <= servo_lag < math.inf else 0.0)
         known = round_trip >= 0.0 and lag < math.inf
         self.lag = lag if known else 0.0
@@ -64,7 +64,7 @@ class PlayRate:
             self.waits = lag >= (KEEPS_UP if self.waits else TRAILS)
 
     def set_fraction(self, fraction: float, reason: str = "") -> None:
-        """Take a limit and why it is there; the path stays. ExecutionError, and no change, when it is no fraction."""
+        """Store a limit and its reason; the path stays. ExecutionError, and no change, when it is no fraction."""
         # written so that a nan does not pass
         if not 0.0 <= fraction <= 1.0:
             raise ExecutionError(
@@ -167,7 +167,7 @@ class ExecutorMachine:
         return self.segment_run
 
     def record_withdrawal(self, plan: Plan | None, reason: str) -> None:
-        """Tell that a plan is not, or no longer, under review."""
+        """Queue the verdict that a plan is not, or no longer, under review."""
         if plan is not None:
             self.events.append(Verdict(WITHDRAWN, plan.id, plan.hash, EXECUTOR, reason, plan))
 

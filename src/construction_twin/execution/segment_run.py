@@ -147,8 +147,8 @@ class Boundary:
         orders, self._orders = self._orders, []
         return orders
 
-    def observe(self, tool: ToolReport, now: int) -> None:
-        """Note what a report says of the switches; also while it is paused."""
+    def on_report(self, tool: ToolReport, now: int) -> None:
+        """Store what a report says of the switches; also while it is paused."""
         for order in self._ordered:
             report = tool.switches.get(order.id) if order.id else None
             if report is not None and report.state is SwitchState.FIRED and order.fired is None:
@@ -172,7 +172,7 @@ class Boundary:
 
         `scene`: hash of the present one, empty: not known. `may_switch`: whether a switch may be armed now.
         """
-        self.observe(tool, now)
+        self.on_report(tool, now)
         if not self._confirmed:
             return self._switch(stamp, now, tool, may_switch)
         if self._wanted_at is None:
@@ -356,12 +356,12 @@ class SegmentRun:
         return self._boundary.pop_orders() if self.at_boundary else []
 
     def obstacle(self, tool: ToolReport, now: int) -> str:
-        """Take a report of the tool; return what it says against going on, as a clause, "" when nothing."""
+        """Return what a report of the tool says against going on, as a clause, "" when nothing."""
         segment = self.segment
         if segment is None:
             return ""
         if self.at_boundary:
-            self._boundary.observe(tool, now)
+            self._boundary.on_report(tool, now)
             return tool.mismatch(self._boundary.required)
         if segment.switches and not tool.known:
             return tool.why_unknown()
@@ -440,20 +440,20 @@ class SegmentRun:
             self._boundary.void()
         if self.way_back:
             if finished:
-                self._engagements.end()
+                self._engagements.clear()
             return self.pop_orders()
         left, inside = self._engagement, 0.0
         if left is not None:
             # its path begins with the first of the engaged segments
             inside = elapsed - (self.plan.segments[self.number].end - left.path.trajectory.duration)
         if finished or left is None or inside <= 0.0:
-            self._engagements.end()
+            self._engagements.clear()
         else:
             path = replace(left.path, end=min(inside, left.path.trajectory.duration))
-            self._engagements.leave_inside(replace(left, path=path, holding=self._held_with(), reason=reason))
+            self._engagements.mark_engaged(replace(left, path=path, holding=self._possible_readings(), reason=reason))
         return self.pop_orders()
 
-    def _held_with(self) -> Holding:
+    def _possible_readings(self) -> Holding:
         """Return what the tool's inputs may read where the plan has ended, in the order of time, and the scene of each."""
         segment, boundary = self.segment, self._boundary
         assert segment is not None  # it is engaged

@@ -18,7 +18,7 @@ from construction_twin.execution.executor import Executor
 from construction_twin.execution.states import ACTIVE, ExecutorState
 from construction_twin.robot.description import ESTIMATES, RobotModel
 
-#: States of the limit in which who should tell it does not.
+#: States of the limit whose source is silent or was never there.
 _NO_SOURCE = (LimitState.SILENT, LimitState.MISSING)
 
 
@@ -52,7 +52,7 @@ class Permission(pydantic.BaseModel):
 
 
 class ExecutionNews:
-    """What is new of an executor, its approvals and its speed limit."""
+    """What is new of an executor, its approvals and its speed limit, for its report and its log."""
 
     def __init__(self, executor: Executor, approval: Approval, limit: SpeedLimit):
         self._executor, self._approval, self._limit = executor, approval, limit
@@ -129,12 +129,12 @@ class ExecutionNews:
 
 
 class DiskWriter:
-    """What is written beside the cycle. What the disk does not take is said, and tried again.
+    """Writes beside the cycle; what the disk does not take is logged, and tried again.
 
     Args:
         engagement: File of where the arm is engaged.
         lock: Held around every use of the executor.
-        log: Takes a sentence.
+        log: Logs a sentence.
     """
 
     def __init__(self, executor: Executor, engagement: Path, lock: AbstractContextManager, log: Callable[[str], None]):
@@ -144,7 +144,7 @@ class DiskWriter:
 
     @property
     def fault(self) -> str:
-        """What was not taken; empty: all was."""
+        """What could not be written; empty: all was."""
         return next(iter(self._faults.values()), "")
 
     def write(self, what: str, write: Callable[[], object]) -> bool:

@@ -108,7 +108,7 @@ class CommandIntake:
         self._check = MotionCheck(self._limits, config.decimals)
 
     def begin_stream(self, held: tuple[float, ...], stamp: int, q: tuple[float, ...], waited: int, now: int) -> None:
-        """Take the first command of a stream; MotionRefused when it is out of range, or away from the pose `held` (``start``)."""
+        """Push the first command of a stream; MotionRefused when it is out of range, or away from the pose `held` (``start``)."""
         self._limits.check_range(q)
         tolerances = self._config.start_tolerances
         off = outside_tolerance(q, held, tolerances)
@@ -119,7 +119,7 @@ class CommandIntake:
         self._push(stamp, q, waited)
 
     def on_command(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
-        """Take a command that follows another; MotionRefused (``lead``, or a reason of `MotionCheck`) or StreamBroken."""
+        """Push a command that follows another; MotionRefused (``lead``, or a reason of `MotionCheck`) or StreamBroken."""
         player, playout = self._player, self._player.playout
         # the time since the last telegram is subtracted: playout time advances only with telegrams
         lead = (playout.lead_time(stamp) - waited) / NANOSECONDS

@@ -12,7 +12,7 @@ from construction_twin.core import speed_limit
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.gateway.arm_side import ArmSide
+from construction_twin.gateway.arm_control import ArmControl
 from construction_twin.gateway.command_intake import StreamBroken
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.states import Event, Mode, Occasion, Row, State
@@ -60,7 +60,7 @@ class Ownership:
         self.intrusions = 0
 
     def begin(self, session: str) -> None:
-        """Give a session its turn."""
+        """Record that a session has its turn."""
         _remember(self._past_sessions, session)
 
     def has_had_turn(self, session: str) -> bool:
@@ -68,7 +68,7 @@ class Ownership:
         return session in self._past_sessions
 
     def record_intruder(self, session: str) -> None:
-        """Note a session that wanted what another has."""
+        """Count a session that wanted what another has."""
         self.intruder = session
         self.intrusions += 1
 
@@ -97,7 +97,7 @@ class EnforcedSpeedLimit:
     def __init__(self, config: GatewayConfig):
         self._source = speed_limit.SpeedLimit(config.speed_limit_deadline, config.speed_limit_silent)
         self._grace = round(config.speed_limit_grace * NANOSECONDS)
-        #: The fraction given last, that for silence included; 1 before the first one.
+        #: The fraction requested last, that for silence included; 1 before the first one.
         self.requested = 1.0
         #: Who gave it: "none", a session id, or "silence".
         self.source = "none"
@@ -133,7 +133,7 @@ class EnforcedSpeedLimit:
         return False
 
     def on_limit(self, fraction: float, session: str, now: int) -> bool:
-        """Take a limit, 0 to 1, from a session; return whether it, or who gave it, is another than before."""
+        """Store a limit, 0 to 1, of a session; return whether limit or session changed."""
         self._source.record(fraction, session, now)
         news = (fraction, session) != (self.requested, self.source)
         self.source = session
@@ -173,10 +173,10 @@ class EnforcedSpeedLimit:
         return {"share": self.fraction, "given": self.requested, "source": self.source}
 
 
-class CommandSide:
+class CommandHandler:
     """Takes commands, control messages and people's stops for one `Gateway`."""
 
-    def __init__(self, gateway: ArmSide):
+    def __init__(self, gateway: ArmControl):
         self._gateway = gateway
         self.owners = Ownership()
         #: How fast the arm may move, as the source of `speed_limit` asks.
@@ -195,7 +195,7 @@ class CommandSide:
     # -- commands
 
     def on_command(self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int) -> None:
-        """Take a joint string of the `command` topic; `properties` are None without any, the error when they cannot be read."""
+        """Read and play a joint string of `command`; `properties` are None without any, the error when they cannot be read."""
         gateway, machine = self._gateway, self._gateway.machine
         state = machine.state
         try:

@@ -66,7 +66,7 @@ class ControllerClock:
         self._judged = ""
 
     def on_telegram(self, stamp: int, arrived: int) -> None:
-        """Take a telegram by its stamp [ms] and arrival on any clock that runs in real time [ns], also one that is not answered."""
+        """Store stamp [ms] and arrival of a telegram, on any clock in real time [ns], also of one that is not answered."""
         arrivals = self._arrivals
         if not self.measures:
             return
@@ -88,7 +88,7 @@ class ControllerClock:
         self._to_judge -= 1
 
     def _on_other_step(self, stamp: int, step: int) -> None:
-        """Take a step of the other cycle; the session is measured anew from where the first row of them began."""
+        """Count a step of the other cycle; the session is measured anew from where the first row of them began."""
         follows = step == self._other and stamp - step == self._other_stamp
         self._in_a_row = self._in_a_row + 1 if follows else 1
         self._other, self._other_stamp = step, stamp

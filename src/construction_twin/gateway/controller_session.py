@@ -58,7 +58,7 @@ class Replies:
         self.lost_for = 0
 
     def record_loss(self, lost: bool, elapsed: int) -> None:
-        """Take note of whether the last answer was lost, `elapsed` [ns] of the controller's time ago."""
+        """Record whether the last answer was lost, `elapsed` [ns] of the controller's time ago."""
         if lost:
             self.lost_for += elapsed
         else:
@@ -76,11 +76,11 @@ class Replies:
         """Return what an answer carries for a correction [rad]."""
         if self._zero:
             correction = (0.0,) * len(correction)
-        return moved(origin, correction) if self._absolute else correction
+        return corrected(origin, correction) if self._absolute else correction
 
 
-def moved(origin: tuple[float, ...], correction: tuple[float, ...]) -> tuple[float, ...]:
-    """Return where a correction to an origin is [rad]."""
+def corrected(origin: tuple[float, ...], correction: tuple[float, ...]) -> tuple[float, ...]:
+    """Return the position of a correction to an origin [rad]."""
     return tuple([start + value for start, value in zip(origin, correction)])
 
 
@@ -129,7 +129,7 @@ class ControllerSession:
         return self.alive and now - self.received_at > self._timeout
 
     def on_telegram(self, telegram: Telegram, source: object, now: int, moving: bool = False) -> TelegramOutcome | None:
-        """Take a telegram; None when it came twice or behind a newer one. `moving`: whether the correction is being changed."""
+        """Judge a telegram; None when it came twice or behind a newer one. `moving`: whether the correction is being changed."""
         step = stamp_step(self.stamp, telegram.controller_ms, self._timeout_ms)
         goes_on = self.alive and source == self._source
         if goes_on and -self._timeout_ms <= step <= 0:
@@ -180,13 +180,13 @@ class ControllerSession:
         return self.replies.to_target(self.replies.last_acknowledged, self.origin)
 
     def on_status(self, status: ControllerStatus, unreadable: int) -> None:
-        """Take what a telegram says on its optional channels, and how many of these cannot be read; it changes no answer."""
+        """Store what a telegram says on its optional channels, and count those that cannot be read; no answer changes."""
         self.status = status
         if unreadable:
             self._counters["status_channels_unreadable"] += unreadable
 
     def store_measured(self, telegram: Telegram) -> None:
-        """Take the measured pose of a telegram, where it has one."""
+        """Store the measured pose of a telegram, where it has one."""
         self.measured = telegram.measured or self.measured
 
     def _is_reply_lost(self, count: int | None, elapsed: int) -> bool:
@@ -204,7 +204,7 @@ class ControllerSession:
         return missed >= cycles
 
     def _store_poses(self, telegram: Telegram) -> tuple[float, ...]:
-        """Take a telegram's poses and its count of late replies; return where it is programmed off the origin."""
+        """Store a telegram's poses and its count of late replies; return where it is programmed off the origin."""
         missed = telegram.missed
         if missed is not None and missed != self._last_missed:
             self._counters["late_replies"] += max(0, missed - self._last_missed)
@@ -222,7 +222,7 @@ class ControllerSession:
     def drift(self, setpoint: tuple[float, ...]) -> str:
         """Return in one sentence how far a programmed position [rad] is off the origin; "" within the start tolerance."""
         distance = self.distance_off(setpoint, self.origin)
-        return distance and self._rules.drifted(distance)
+        return distance and self._rules.drift_sentence(distance)
 
     def distance_off(self, q: tuple[float, ...], reference: tuple[float, ...], tolerances: float = 1.0) -> str:
         """Return how far the first axis is off that is further than so many start tolerances, for people; "" when none is."""
@@ -257,7 +257,7 @@ class ControllerSession:
 
     def _is_restarted(self, telegram: Telegram, moving: bool) -> bool:
         """Return whether the make's own signs show that a session was ended and begun anew while cycles are missing."""
-        sign = self._rules.restarted(telegram, self.origin, self.replies.sent, moving)
+        sign = self._rules.restart_sign(telegram, self.origin, self.replies.sent, moving)
         if sign:
             jump, protocol = self.jump_ms, self._words.protocol
             self.began = Sentence(

@@ -128,7 +128,7 @@ class ControllerSocket:
         gateway, telegram, source = self._gateway, newest.telegram, newest.source
         carried = gateway.on_telegram(telegram, source, now)
         if carried is not None and self.encoder is not None:
-            stop = True if gateway.ends else None
+            stop = True if gateway.ends_program else None
             switched = self._switched(self.encoder) if gateway.tool is not None else ()
             self._send(self.encoder.encode(carried, telegram.controller_ms, stop, switched), source)
             self.last_resort.on_reply_sent(

@@ -14,10 +14,10 @@ from construction_twin.core.follower import Follower
 from construction_twin.core.records import json_value
 from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.gateway.arm_side import ArmSide
+from construction_twin.gateway.arm_control import ArmControl
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.gateway.control import CommandSide
-from construction_twin.gateway.controller_session import moved
+from construction_twin.gateway.control import CommandHandler
+from construction_twin.gateway.controller_session import corrected
 from construction_twin.gateway.machine import Machine
 from construction_twin.gateway.states import Action, Event, Guard, Mode, Occasion, Row, State
 from construction_twin.mqtt.messages import PROTOCOL, StateProperties
@@ -30,8 +30,8 @@ def _not_reset(reason: str) -> str:
     return Sentence("stopped before, and not reset ({reason})", reason=reason) if reason else ""
 
 
-class Gateway(ArmSide):
-    """One robot's gateway between the command stream and the controller session; see `ArmSide` for its arguments."""
+class Gateway(ArmControl):
+    """One robot's gateway between the command stream and the controller session; see `ArmControl` for its arguments."""
 
     def __init__(
         self,
@@ -42,7 +42,7 @@ class Gateway(ArmSide):
         stopped: str = "",
     ):
         super().__init__(config, run, commissioning, measures, stopped)
-        self.commands = commands = CommandSide(self)
+        self.commands = commands = CommandHandler(self)
         self.on_command, self.on_control = commands.on_command, commands.on_control
         self.on_stop, self.refuse_stop = commands.on_stop, commands.refuse_stop
         self._cycle = config.cycle_ns
@@ -81,7 +81,7 @@ class Gateway(ArmSide):
     # -- a telegram
 
     def on_telegram(self, telegram: Telegram, source: object, now: int) -> tuple[float, ...] | None:
-        """Take a telegram through every step to its answer: position, or position minus origin [rad]; None: no answer."""
+        """Carry a telegram through every step to its answer: position, or position minus origin [rad]; None: no answer."""
         machine, controller, player, counters = self.machine, self.controller, self.player, self.counters
         # session: what does the telegram mean, does another session begin, may it be answered?
         state = machine.state
@@ -119,18 +119,18 @@ class Gateway(ArmSide):
         # where nothing has arrived for so long, nothing is played: the gate is to compare with the present
         self.command_stamp = player.stamp if controller.replies.lost_for <= self._silence else 0
         # playout with its one rate, or braking, and the limits of every joint
-        if elapsed == self._cycle and not player.parts.interpolated:
+        if elapsed == self._cycle and not player.interpolator.interpolated:
             position = self._move(follower, elapsed)
         elif machine.state is State.FOLLOWING or machine.state is State.BRAKING:
             # until the change of the cycle is noticed, and while it brakes
             step = partial(self._move, follower, self._cycle)
-            position = player.parts.position(elapsed, follower.position, step)
+            position = player.interpolator.position(elapsed, follower.position, step)
         else:
-            player.parts.restart()
+            player.interpolator.restart()
             position = follower.position
         # what goes with this target
         if self.tool is not None and machine.state is State.FOLLOWING and player.braking is None:
-            self.tool.play(player.stamp)
+            self.tool.fire_due(player.stamp)
         if self.trace is not None:
             session = counters["rsi_sessions"]
             self.trace(telegram.controller_ms, session, machine.state, player.stamp, position, outcome.lost)
@@ -161,10 +161,10 @@ class Gateway(ArmSide):
         HOLDON kept the arm there: going on at the speed of before would be a step from standstill.
         """
         player = self.player
-        if player.parts.interpolated:
+        if player.interpolator.interpolated:
             # it stands within a step, not at its end
-            player.parts.restart()
-            follower = player.place(moved(self.controller.origin, self.controller.replies.last_acknowledged))
+            player.interpolator.restart()
+            follower = player.place(corrected(self.controller.origin, self.controller.replies.last_acknowledged))
         elif lost:
             follower.undo_step()
         else:
@@ -197,12 +197,12 @@ class Gateway(ArmSide):
         return follower.position
 
     def on_last_resort(self, telegram: Telegram, target: tuple[float, ...], lost: bool) -> None:
-        """Take note of a telegram that the last resort answered with `target` [rad]; `lost`: the reply before it did not arrive."""
+        """Trace a telegram that the last resort answered with `target` [rad]; `lost`: the reply before it did not arrive."""
         controller = self.controller
         controller.store_measured(telegram)
         self.command_stamp = 0
         if self.trace is not None:
-            position = target if self._absolute else moved(controller.origin, target)
+            position = target if self._absolute else corrected(controller.origin, target)
             self.trace(telegram.controller_ms, self.counters["rsi_sessions"], self.state, 0, position, lost)
 
     # -- between telegrams
@@ -258,7 +258,7 @@ class Gateway(ArmSide):
         self.ending = False
         self.controller.replies.begin()
         self.clock.restart()
-        self.player.parts.restart()
+        self.player.interpolator.restart()
         self.refusals.begin_session()
 
     def _on_session_ended(self, row: Row, occasion: Occasion) -> None:

@@ -52,6 +52,6 @@ class Machine:
         self.reason = join_sentences(self._entered_for, note)
 
     def restore_reason(self) -> None:
-        """Take back what was added."""
+        """Remove what was added to the reason."""
         if self.reason != self._entered_for:
             self.reason, self.changed = self._entered_for, True

@@ -135,7 +135,7 @@ class Player:
         rate = PlayoutRate(config.limits, config.decimals, config.cycle_ns)
         self.playout = Playout(PlayoutBounds.of(config), rate)
         #: For telegrams that come faster than one a cycle.
-        self.parts = SubCycleInterpolator(config.cycle_ns)
+        self.interpolator = SubCycleInterpolator(config.cycle_ns)
         # the stream that was given up: whose, how late its next command was then [ns], and when [ns]
         self._stalled: tuple[str, int, int] | None = None
         #: Fraction of the velocity limits at which the arm may move.
@@ -204,7 +204,7 @@ class Player:
         return follower.brake()
 
     def on_stream_given_up(self, session: str, now: int) -> None:
-        """Note that the stream of `session` is given up because of its silence; call it before `clear`."""
+        """Remember that the stream of `session` was given up for its silence; call it before `clear`."""
         self._stalled = session, self.playout.shortfall, now
 
     def learn_from_stall(self, session: str | None, now: int) -> None:

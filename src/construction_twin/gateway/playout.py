@@ -81,7 +81,7 @@ class Arrivals:
             self.learned, self._changed = jitter, True
 
     def on_telegram(self, lead: int, clock: int) -> bool:
-        """Take the newest command's lead over the clock, 0 at the stream's first command [ns]; return whether extremes changed."""
+        """Observe the newest command's lead over the clock, 0 at the stream's first one [ns]; return whether extremes changed."""
         if not self._started:
             self._started = True
             self.high = self.low = self._high = self._low = lead
@@ -96,7 +96,7 @@ class Arrivals:
         return changed
 
     def on_command(self, lead: int, offset: int) -> None:
-        """Take a command's arrival [ns].
+        """Observe a command's arrival [ns].
 
         Args:
             lead: How far what was there reached beyond the controller's clock at the last telegram.

@@ -20,7 +20,7 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.controller_socket import ControllerSocket
 from construction_twin.gateway.gateway import Gateway
-from construction_twin.gateway.mqtt_side import MqttSide
+from construction_twin.gateway.mqtt_connection import MqttConnection
 from construction_twin.gateway.states import State
 from construction_twin.gateway.stop_file import StopFile
 from construction_twin.mqtt.client import Broker
@@ -72,7 +72,7 @@ class GatewayService:
         self._selector.register(sock, selectors.EVENT_READ, None)
         reply_time = self.controller.reply_time
         polled = partial(PolledClient, selector=self._selector)
-        self.mqtt = MqttSide(self.gateway, broker, topics, polled, self.run_guarded, stops, reply_time)
+        self.mqtt = MqttConnection(self.gateway, broker, topics, polled, self.run_guarded, stops, reply_time)
         # state and reason in the log, whether a silent source is
         self._logged: tuple[State | None, str, bool] = None, "", False
         self._running = True
@@ -93,7 +93,7 @@ class GatewayService:
             self._turn_while(
                 lambda: not resort.at_rest if self.failure else gateway.state is State.BRAKING, _LONGEST_BRAKING
             )
-            self._turn_while(lambda: resort.ends if self.failure else gateway.ends, _LAST_STOP)
+            self._turn_while(lambda: resort.ends_program if self.failure else gateway.ends_program, _LAST_STOP)
         finally:
             self.run_guarded(self._publish_failure)
             self.run_guarded(self.mqtt.publish_status, True)

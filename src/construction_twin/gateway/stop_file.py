@@ -22,7 +22,7 @@ _AGAIN = 0.5
 
 
 class StopFile:
-    """Keeps why the arm was stopped, until `close`; `found` is what the program before this one left, "" for nothing."""
+    """Saves why the arm was stopped, until `close`; `found` is what the program before this one left, "" for nothing."""
 
     def __init__(self, path: str | Path):
         self._path = Path(path)
@@ -48,7 +48,7 @@ class StopFile:
             return Sentence("what {path} says of a stop cannot be read", path=str(self._path))
 
     def save(self, reason: str) -> None:
-        """Keep why the arm is stopped, "" once somebody has reset it; returns at once."""
+        """Have the writer save why the arm is stopped, "" once somebody has reset it; returns at once."""
         # what a message named may be no text: half a surrogate pair
         reason = reason[:LONGEST].encode(errors="replace").decode()
         if reason != self._wanted:

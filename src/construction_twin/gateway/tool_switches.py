@@ -99,7 +99,7 @@ class ToolSwitches:
         )
 
     def on_reading(self, reading: ToolReading | None) -> None:
-        """Take what the newest telegram tells; None when it cannot be read."""
+        """Store what the newest telegram reads; None when it cannot be read."""
         self._latest = reading
 
     def begin_session(self) -> None:
@@ -116,7 +116,7 @@ class ToolSwitches:
         self._urgent = True
 
     def on_telegram(self, obstacle: str = "", missed: bool = False) -> None:
-        """Take the reading of a telegram, why its session is not answered, and whether the controller missed a reply before it."""
+        """Compare the stored reading; `obstacle`: why the session is not answered, `missed`: the controller missed a reply."""
         self._telegrams += 1
         reading = self._latest
         why = obstacle or ("" if reading is not None else _NOT_TOLD)
@@ -174,7 +174,7 @@ class ToolSwitches:
             self._counters["tool_input_changes"] += 1
             self._changed = True
 
-    def play(self, stamp: int) -> None:
+    def fire_due(self, stamp: int) -> None:
         """Fire what is due: the playout plays the setpoint of `stamp` [ns] in this reply."""
         while self._armed and self._armed[0].stamp <= stamp:
             switch = self._armed.pop(0)

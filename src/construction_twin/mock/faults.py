@@ -48,7 +48,7 @@ class ImpairedLine:
         return bool(self.drop or self.duplicate or self.delay or self.jitter or self._queue)
 
     def send(self, data: bytes, now: int) -> None:
-        """Take a datagram that sets out at `now` [ns]."""
+        """Send a datagram at `now` [ns]."""
         if self.drop and self._random.random() < self.drop:
             self.dropped += 1
             return

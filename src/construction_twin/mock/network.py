@@ -69,7 +69,7 @@ class MockRsi:
         gateway: tuple[str, int],
         restart_after: float = 0.0,
         observe: Callable[[MockRsi], None] = lambda mock: None,
-        report: Callable[[str], None] = log.info,
+        log_line: Callable[[str], None] = log.info,
         fault_seed: int = 0,
     ):
         self.controller = controller
@@ -81,7 +81,7 @@ class MockRsi:
         self._closest = self._cycle // 2
         self._restart_after = round(restart_after * NANOSECONDS)
         self._observe = observe
-        self._report = report
+        self._log = log_line
         self._requests: SimpleQueue[tuple[Callable[[], object], Future]] = SimpleQueue()
         self._socket, self._stamped = _open_socket()
         #: A reply that arrives later than this is too late for the open cycle [ns].
@@ -121,7 +121,7 @@ class MockRsi:
                 self._ends = max(due, sent + self._closest)
                 self._observe(self)
                 self._receive_until(self._ends)
-                if self.controller.refusals.news:
+                if self.controller.refusals.log_lines:
                     self._log_refusals()
         finally:
             self._socket.close()
@@ -143,7 +143,7 @@ class MockRsi:
         if not controller.running:
             if self._stopped_at is None:
                 self._stopped_at = now
-                self._report(f"{controller.words.protocol} session {controller.session} stopped: {controller.reason}")
+                self._log(f"{controller.words.protocol} session {controller.session} stopped: {controller.reason}")
             answered = controller.counters["replies"] > self._replies
             wait = self._restart_after if answered else min(self._restart_after, _UNANSWERED)
             due = self._restart_after and now - self._stopped_at >= wait
@@ -159,13 +159,13 @@ class MockRsi:
             self._socket, self._stamped = _open_socket()
             before.close()
             begun = f"session {controller.session} started, {controller.words.stamp} {controller.stamp}"
-            self._report(f"{controller.words.protocol} {begun}, gateway {self._gateway}")
+            self._log(f"{controller.words.protocol} {begun}, gateway {self._gateway}")
 
     def _log_refusals(self) -> None:
-        news = self.controller.refusals.news
-        for sentence in news:
-            self._report(f"{self.controller.words.protocol} session {self.controller.session}: {sentence}")
-        news.clear()
+        lines = self.controller.refusals.log_lines
+        for sentence in lines:
+            self._log(f"{self.controller.words.protocol} session {self.controller.session}: {sentence}")
+        lines.clear()
 
     def _send(self, packet: bytes) -> None:
         line = self.faults.to_pc

@@ -45,8 +45,8 @@ class LagEstimate:
         """The lag to compare by [ns]: the best that is known so far, 0 at first."""
         return round(self._lag * NANOSECONDS)
 
-    def learn(self, difference: tuple[float, ...], velocity: tuple[float, ...]) -> None:
-        """Take one sample in motion: physical pose minus the twin's at the present estimate [rad], and its velocity [rad/s]."""
+    def add_sample(self, difference: tuple[float, ...], velocity: tuple[float, ...]) -> None:
+        """Add one sample in motion: physical pose minus the twin's at the present estimate [rad], and its velocity [rad/s]."""
         power = sum(v * v for v in velocity)
         if power < SLOWEST * SLOWEST:
             return
@@ -222,7 +222,7 @@ class PoseComparison:
         self.last = Comparison(now, mode, virtual, q, threshold, round_trip, lag.seconds)
         if self.last.agrees:
             # what disagrees is not lag
-            lag.learn(tuple(p - v for p, v in zip(q, virtual)), velocity)
+            lag.add_sample(tuple(p - v for p, v in zip(q, virtual)), velocity)
         return self.last
 
     def _reference(self, stamp: int, lag: int) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
@@ -249,7 +249,7 @@ class RoundTrips:
         self._passed = [0] * MAX_SETPOINTS
 
     def on_setpoint(self, stamp: int, now: int) -> None:
-        """Note that the setpoint with this nominal stamp passed at `now` [ns]."""
+        """Store that the setpoint with this nominal stamp passed at `now` [ns]."""
         place = stamp // CYCLE_NS % MAX_SETPOINTS
         self._stamps[place], self._passed[place] = stamp, now
 

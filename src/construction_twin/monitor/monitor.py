@@ -56,7 +56,7 @@ class Replan:
 
 
 @dataclass(frozen=True)
-class _Played:
+class _PlayState:
     """What the executor did when it was last heard: whether it played that plan, and was not told to stop or to pause."""
 
     plan_id: str = ""
@@ -80,7 +80,7 @@ class Monitor:
             )
             gate.fire(SyncEvent.STOPPED_BEFORE, was, now)
         self._goals: dict[str, ReplanGoal] = {}
-        self._played = _Played()
+        self._played = _PlayState()
         #: The executor's sentence while a plan is being executed, at rest or not; empty otherwise.
         self._executing = ""
         self._reported: tuple = ()
@@ -93,7 +93,7 @@ class Monitor:
 
     def on_link(self, session: str, leads: bool, now: int) -> None:
         """Take the link's session, and whether the arm leads; a new session restarts the gate."""
-        self.gate.mirror(leads, now)
+        self.gate.set_mirrored(leads, now)
         if session and session != self._session:
             if self._session:
                 self.gate.restart(Sentence("new command session"), now)
@@ -132,7 +132,7 @@ class Monitor:
     def on_execution(self, plan_id: str, executing: str, playing: bool, moment: str) -> None:
         """Take what the executor did at a moment: its state as a word while it follows the plan, else empty."""
         self._executing = executing and f"plan {plan_id} is {executing}"
-        self._played = _Played(plan_id, playing, moment)
+        self._played = _PlayState(plan_id, playing, moment)
 
     @property
     def interrupted(self) -> ReplanGoal | None:
@@ -167,11 +167,11 @@ class Monitor:
 
     # -- what is told
 
-    def sync(self, now: int) -> SyncReport | None:
-        """Return the gate's report when it is to be told: at once in another state, else at `SYNC_RATE`, at rest less often."""
+    def pop_sync_report(self, now: int) -> SyncReport | None:
+        """Return the gate's report when it is due: at once in another state, else at `SYNC_RATE`, at rest less often."""
         gate = self.gate
-        state = (gate.state, gate.reason, gate.agreed(now))
-        resting = gate.state is SyncState.IN_SYNC and gate.rests(now) and not gate.mirrored
+        state = (gate.state, gate.reason, gate.is_agreed(now))
+        resting = gate.state is SyncState.IN_SYNC and gate.is_at_rest(now) and not gate.mirrored
         pause = RESTING_SYNC if resting else round(NANOSECONDS / SYNC_RATE)
         if state == self._reported and now - self._sync_at < pause:
             return None
@@ -200,7 +200,7 @@ class Monitor:
 
     def values(self) -> dict[str, object]:
         """Return what `/diagnostics` says of the gate."""
-        gate, watch = self.gate, self.gate.watch_of_servos
+        gate, watch = self.gate, self.gate.servo_watch
         last = gate.comparison.last
         values: dict[str, object] = {
             "policy": gate.policy,
@@ -215,7 +215,7 @@ class Monitor:
             "servo model": "judges" if watch.judges else "waits until the arm has moved as commanded",
             "compared with it": watch.judged,
             "largest residual": f"{max(watch.largest):.6f}",
-            "lag beyond the file [ms]": ", ".join(f"{1e3 * lag:+.2f}" for lag in watch.refinement.later),
+            "lag beyond the file [ms]": ", ".join(f"{1e3 * lag:+.2f}" for lag in watch.refinement.added_lags),
         }
 
 

@@ -107,7 +107,7 @@ class ReviewLog:
         self.file.append(self._clock(), _fields(record, self.responsibility))
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self.file.close()
 
     def _end_interrupted(self) -> None:

@@ -75,10 +75,10 @@ def test_nobody_who_looks_is_no_free_way():
 def test_auto_approve_waits_until_the_way_is_free():
     bench = Beside().offered()
     bench.say(PROBLEM)
-    assert bench.approval.approve_by_itself(bench.stamp) is None
+    assert bench.approval.approve_automatically(bench.stamp) is None
     assert bench.executor.under_review.plan is bench.plan
     bench.say("")
-    assert bench.approval.approve_by_itself(bench.stamp) is not None
+    assert bench.approval.approve_automatically(bench.stamp) is not None
 
 
 @settings(max_examples=10, deadline=None)

@@ -8,7 +8,7 @@ from collections import deque
 import pytest
 from gateway_cell import CONFIG, RUN, START
 
-from construction_twin.gateway.arm_side import LONGEST_REFUSAL
+from construction_twin.gateway.arm_control import LONGEST_REFUSAL
 from construction_twin.gateway.controller_socket import DRAIN_LIMIT, TelegramInbox
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.states import State

@@ -406,7 +406,7 @@ def read(switches, outputs, missed=False):
 
 def fire(switches, output):
     assert switches.arm({"id": output, "output": output, "value": True, "stamp": 5}, 0.01, "") == ""
-    switches.play(5)
+    switches.fire_due(5)
 
 
 def test_a_round_trip_is_waited_for_and_an_output_that_never_comes_on_is_given_up():

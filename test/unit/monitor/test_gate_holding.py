@@ -74,7 +74,7 @@ class TestThresholds:
         before = gate.settings
         if stopped:
             gate.fire(SyncEvent.STOPPED_BEFORE, "by an earlier monitor", gate.held_stamp)
-        gate.mirror(True, gate.held_stamp)
+        gate.set_mirrored(True, gate.held_stamp)
         with pytest.raises(ConfigurationError, match="the gate.*an arm that does not: it can move at any moment"):
             gate.configure(GateSettings(threshold=0.3), "Ada", gate.held_stamp)
         assert gate.settings is before
@@ -142,7 +142,7 @@ class TestHysteresis:
         cell = bench()
         cell.offset = 0.99 * SETTINGS.threshold
         cell.run(1.0)
-        assert cell.state is SyncState.IN_SYNC and cell.gate.agreed(cell.stamp)
+        assert cell.state is SyncState.IN_SYNC and cell.gate.is_agreed(cell.stamp)
 
     def test_an_error_that_swings_about_the_threshold_does_not_chatter(self):
         cell = bench()
@@ -289,7 +289,7 @@ class TestCause:
     def test_while_the_arm_leads_there_is_none(self):
         cell = bench()
         close(cell, "differs")
-        cell.gate.mirror(True, cell.stamp)
+        cell.gate.set_mirrored(True, cell.stamp)
         cell.cycle()
         assert cell.gate.cause is None
 
@@ -394,26 +394,26 @@ class TestStoppedBefore:
 class TestMirror:
     def test_nothing_opens_the_gate_while_the_arm_leads(self):
         cell = bench()
-        cell.gate.mirror(True, cell.stamp)
+        cell.gate.set_mirrored(True, cell.stamp)
         assert cell.state is SyncState.WAITING
         assert set(cell.run(1.0)) == {None}
         assert cell.state is SyncState.WAITING and cell.gate.held == ()
-        cell.gate.mirror(False, cell.stamp)
+        cell.gate.set_mirrored(False, cell.stamp)
         cell.gate.restart("new command session", cell.stamp)
         cell.opened()
 
     def test_is_one_change_however_often_it_is_said(self):
         cell = bench()
         for _ in range(3):
-            cell.gate.mirror(True, cell.stamp)
+            cell.gate.set_mirrored(True, cell.stamp)
         assert states(cell.gate) == [("mirror", "WAITING")]
 
     def test_does_not_lead_out_of_stopped(self):
         cell = bench(policy="stop")
         close(cell, "differs")
-        cell.gate.mirror(True, cell.stamp)
+        cell.gate.set_mirrored(True, cell.stamp)
         assert cell.cycle() is None
-        cell.gate.mirror(False, cell.stamp)
+        cell.gate.set_mirrored(False, cell.stamp)
         assert cell.cycle() == START and cell.state is SyncState.STOPPED
 
 

@@ -97,7 +97,7 @@ class TestClocks:
         gate.watch(now + round(SETTINGS.feedback_timeout * NANOSECONDS))
         assert gate.state is SyncState.IN_SYNC
         gate.watch(now + round(SETTINGS.feedback_timeout * NANOSECONDS) + 1)
-        assert gate.state is SyncState.STALE and not gate.agreed(now + NANOSECONDS)
+        assert gate.state is SyncState.STALE and not gate.is_agreed(now + NANOSECONDS)
         gate.watch(now + NANOSECONDS)
         assert gate.state is SyncState.STOPPED
 
@@ -131,4 +131,4 @@ class TestClocks:
         for k in range(1, 50):
             now = cell.stamp + k * CYCLE_NS
             cell.gate.on_physical(START, 0, now, cell.stamp + k * NANOSECONDS)
-            assert cell.gate.agreed(now) is ((k - 1) * CYCLE_NS >= SETTINGS.agree_time * NANOSECONDS)
+            assert cell.gate.is_agreed(now) is ((k - 1) * CYCLE_NS >= SETTINGS.agree_time * NANOSECONDS)

@@ -228,11 +228,11 @@ def test_the_gate_closes_for_a_slip_that_its_speed_term_would_let_pass():
     assert (closed.event, closed.target) == (SyncEvent.POSE_DIFFERS, SyncState.HOLDING)
     assert closed.reason.startswith("A1 ") and "servo" in closed.reason
     assert closed.comparison.agrees
-    assert not loop.gate.agreed(loop.stamp) and loop.gate.cause.sentence == closed.reason
+    assert not loop.gate.is_agreed(loop.stamp) and loop.gate.cause.sentence == closed.reason
 
 
 def test_a_gate_without_a_model_has_no_watch():
-    assert Gate(LIMITS, CODEC, SETTINGS).watch_of_servos is None
+    assert Gate(LIMITS, CODEC, SETTINGS).servo_watch is None
 
 
 def test_a_refinement_is_a_transition_at_rest_that_changes_no_state():

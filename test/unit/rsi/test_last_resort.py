@@ -100,7 +100,7 @@ def test_a_correction_of_another_session_is_no_speed():
 def test_who_was_never_answered_gets_no_answer():
     resort = made()
     resort.begin()
-    assert ask(resort, 1000) is None and not resort.ends
+    assert ask(resort, 1000) is None and not resort.ends_program
     without = LastResort(CONFIG.limits, None, 4)
     without.begin()
     assert ask(without, 1000) is None and without.at_rest

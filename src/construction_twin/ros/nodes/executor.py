@@ -23,7 +23,7 @@ from construction_twin.core.reports import SessionRequest, SpeedChange, ToolRepo
 from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.core.speed_limit import SpeedLimit
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.execution.approval import AUTO_APPROVE, Approval, ConflictVerdicts, WithoutPerson
+from construction_twin.execution.approval import AUTO_APPROVE, Approval, AutoApproval, ConflictVerdicts
 from construction_twin.execution.engagement import read_engagement
 from construction_twin.execution.executor import Executor
 from construction_twin.execution.segment_run import NO_ARM
@@ -92,7 +92,7 @@ class ExecutorNode:
         self._approval = Approval(executor, self._log.append, self._lock, lambda: present_moment())
         self._approval.neighbour = ConflictVerdicts(settings.neighbour)
         self._approval.rehearsal = RehearsalCheck(settings.rehearsal == "require", tool_hash(settings.tool))
-        self._without_person = WithoutPerson(settings.auto_approve, settings.auto_approve_sources)
+        self._auto_approval = AutoApproval(settings.auto_approve, settings.auto_approve_sources)
         self._log_queue = DeferredLog()
         self.side_effects = executor.side_effects
         self._sync_at = 0
@@ -284,11 +284,11 @@ class ExecutorNode:
         self.side_effects.run("the engagement", self.keep_engagement)
         with self._lock:
             self.executor.under_review.scene_alive = self._node_io.connections("scene") > 0
-        self._approval.look_for_obstacle()
-        self._disk.write("an approval", self._approve_by_itself)
+        self._approval.update_obstacle()
+        self._disk.write("an approval", self._approve_automatically)
 
-    def _approve_by_itself(self) -> None:
-        verdict = self._approval.approve_by_itself(time.monotonic_ns(), self._without_person)
+    def _approve_automatically(self) -> None:
+        verdict = self._approval.approve_automatically(time.monotonic_ns(), self._auto_approval)
         if verdict is not None:
             self._publish_verdict(verdict)
 

@@ -248,7 +248,7 @@ class PcaMonitorNode:
         with self._lock:
             self._gate.on_physical(q, command_stamp, self._heard, received, seq)
             self._note_changes()
-            servos = self._gate.watch_of_servos
+            servos = self._gate.servo_watch
             expected = servos.expected if servos is not None else ()
         if self._changes:
             self._publish(now)
@@ -335,7 +335,7 @@ class PcaMonitorNode:
         # the executor waits for `sync`, and no node for the rest
         with self._syncing:
             with self._lock:
-                report, cause = self._monitor.sync(now), self._gate.cause
+                report, cause = self._monitor.pop_sync_report(now), self._gate.cause
             if report is not None:
                 self._publishers["sync"].publish(to_msg(replace(report, stamp=now_ns()), msg.Sync))
                 if (cause,) != self._hold:

@@ -1,4 +1,4 @@
-"""The arm as both sides of the gateway have it: its parts, its state, and how it is stopped. rad and ns."""
+"""The arm under the gateway's control: its parts, its state, and how it is stopped. rad and ns."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Refusals:
         self.begin_session()
 
     def begin_session(self) -> None:
-        """Begin anew with what cannot be read: a telegram could be."""
+        """Restart the count of what cannot be read: a telegram could be."""
         self._published_reason, self._published_count = "", 0
 
     def count_message(self, reason: str, why: object, follows: bool = False) -> None:
@@ -51,7 +51,7 @@ class Refusals:
         self._has_own = not follows
 
     def on_stop(self) -> None:
-        """Keep the last one: the arm was stopped for it."""
+        """Hold the last one: the arm was stopped for it."""
         self._stopped, self.later = True, ""
 
     def count_telegram(self, reason: str, why: object) -> None:
@@ -62,12 +62,12 @@ class Refusals:
         self.unread_reason, self.unread_why = reason, str(why)[:LONGEST_REFUSAL]
 
     def clear_cause(self) -> None:
-        """After a reset, or with another command session: what stopped the one before is no longer the cause of anything."""
+        """Release the one that stopped the arm: after a reset, or with another command session."""
         self.last, self.later = self.later or self.last, ""
         self._has_own = self._stopped = False
 
     def pop_unread(self, now: int) -> tuple[str, bool]:
-        """Return what cannot be read, once a second, "" for nothing, and whether it is refused for another reason than before."""
+        """Return what cannot be read, once a second, "" for nothing, and whether the reason is a new one."""
         if now < self._published_at + NANOSECONDS or self.unread == self._published_count:
             return "", False
         reason, is_new = self.unread_reason, self.unread_reason != self._published_reason
@@ -87,7 +87,7 @@ class Refusals:
             self.last = said
 
 
-class ArmSide:
+class ArmControl:
     """The parts of a gateway, its state, and what every side of it may ask: to brake, stop and end.
 
     Args:
@@ -194,7 +194,7 @@ class ArmSide:
         self.player.clear()
 
     def brake(self, event: Event, reason: str, account: str = "", ending: bool = False) -> None:
-        """Take an event of `states.CAUSES`, for a `reason`."""
+        """Brake for an event of `states.CAUSES`, with a `reason`."""
         why = Sentence("{cause}: {reason}", cause=CAUSES[event], reason=reason)
         self.machine.on(event, Occasion(why, account=account, ending=ending))
 
@@ -208,10 +208,10 @@ class ArmSide:
         self.ending = self.config.layout.stop
 
     @property
-    def ends(self) -> bool:
+    def ends_program(self) -> bool:
         """True when replies must end the controller's program: the end was asked for, and the arm is at rest."""
         return self.ending and self.state in (State.HOLDING, State.MEASURING, State.OTHER_CYCLE)
 
     def fail(self, reason: str) -> None:
-        """Take note of an unexpected exception: the last resort answers, for good. Only state and fault are touched."""
+        """Enter FAILED after an unexpected exception: the last resort answers, for good. Only state and fault are touched."""
         self.machine.on(Event.FAILURE, Occasion(reason))

@@ -42,7 +42,7 @@ _STATUS_PERIOD = NANOSECONDS
 QUIET = NANOSECONDS // 20
 
 
-class MqttSide:
+class MqttConnection:
     """One gateway's connection to the broker, served in the pause behind an answer to the controller.
 
     Args:
