@@ -144,9 +144,9 @@ class MqttBridge:
             self._side_effects.run("the log", self._log.add, rospy.loginfo, *line)
         return True
 
-    def _decide(self, decide: Callable[..., Control | None], *given: object) -> None:
+    def _decide(self, decide: Callable[..., Control | None], *arguments: object) -> None:
         with self._lock:
-            control = decide(*given)
+            control = decide(*arguments)
         if control is not None:
             self._send(control)
 
@@ -162,11 +162,11 @@ class MqttBridge:
         if not session:
             return
         try:
-            payload, beside = self._strings.encode_command(q, session, stamp)
+            payload, properties = self._strings.encode_command(q, session, stamp)
         except PayloadError as error:
             self._refuse(error)
             return
-        self._client.send_stream(self._topics.command, payload, beside)
+        self._client.send_stream(self._topics.command, payload, properties)
 
     def on_speed_limit(self, message: SpeedLimitInForce) -> None:
         """Pass the speed limit in force on."""
@@ -209,7 +209,7 @@ class MqttBridge:
         """Take the arm's pose, as a joint string with its user properties."""
         received, now = now_ns(), time.monotonic_ns()
         try:
-            q, beside = self._strings.decode_state(payload, pairs, retained, now)
+            q, properties = self._strings.decode_state(payload, pairs, retained, now)
         except PayloadError as error:
             self._diagnostics.refuse(f"state_{error.reason}", str(error))
             with self._lock:
@@ -218,7 +218,7 @@ class MqttBridge:
         with self._lock:
             self._supervisor.inputs.on_pose(q, now)
         # the gate's first: each program that looks on at the other takes its time from what comes after
-        self._feedback.publish(received, q, beside.seq, beside.command_stamp)
+        self._feedback.publish(received, q, properties.seq, properties.command_stamp)
         self._physical.publish(received, q)
 
     def on_status(self, payload: bytes) -> None:

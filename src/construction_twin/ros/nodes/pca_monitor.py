@@ -87,10 +87,10 @@ class SpeedLimitService:
 
     def __init__(self, path: Path | None, node_io: shell.NodeIO):
         # the stricter of what executor and gateway are told holds here; without an arm there is no gateway
-        told = {
+        rule_parameters = {
             name: node_io.parameters[name] for name in ("executor", "gateway") if node_io.parameters[name] is not None
         }
-        rules = [settings_of(Rules, given, rospy.resolve_name(name)) for name, given in told.items()]
+        rules = [settings_of(Rules, given, rospy.resolve_name(name)) for name, given in rule_parameters.items()]
         deadline = min(each.speed_limit_deadline for each in rules)
         silent = min(each.speed_limit_silent for each in rules)
         program = SpeedLimit(deadline, silent, rules[0].speed_limit_required)
@@ -182,7 +182,7 @@ class PcaMonitorNode:
     def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
         # without an arm there is no broker, and nobody could raise what was set before
         has = shell.has_arm(settings)
-        kept = ros_home() / "construction_twin" / "speed_limits" / f"{robot.name}.json" if has else None
+        limits_file = ros_home() / "construction_twin" / "speed_limits" / f"{robot.name}.json" if has else None
         stopped_in, now = node_io.parameters[PARAMETER] if has else "", time.monotonic_ns()
         self._names, self._publishers, self._diagnostics = robot.joint_names, node_io.publishers, node_io.diagnostics
         self._command = node_io.publishers["command/joint_states"]
@@ -195,7 +195,7 @@ class PcaMonitorNode:
         self._transitions = TransitionLog(transitions, robot.joint_names)
         self._plan_to_joints = rospy.ServiceProxy("plan_to_joints", srv.PlanToJoints)
         self._stopped = StopMemory(stopped_in, node_io.parameter_writer(PARAMETER))
-        self.speed = SpeedLimitService(kept, node_io)
+        self.speed = SpeedLimitService(limits_file, node_io)
         self._lock = threading.Lock()
         self._received_at = 0
         #: As it was told last; empty: not yet.
