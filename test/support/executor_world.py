@@ -64,12 +64,12 @@ class World:
     def open(self, **settings) -> None:
         """Start the node, with other settings than before."""
         self.settings |= settings
-        ports = SimpleNamespace(
+        node_io = SimpleNamespace(
             publishers={each.topic: self.topic(each.topic) for each in module.INTERFACE.publishes},
             connections=lambda topic: 1,
             diagnostics=SimpleNamespace(refuse=self.refuse),
         )
-        self.node = module.ExecutorNode(module.Settings(**self.settings), ROBOT, ports)
+        self.node = module.ExecutorNode(module.Settings(**self.settings), ROBOT, node_io)
         self.executor, self.log = self.node.executor, self.node._log
         self.logged.clear()
 
@@ -79,7 +79,7 @@ class World:
 
     def hear(self, topic: str, message) -> None:
         """Let a message come in, as `Subscriber` hands it on."""
-        (heard,) = (each for each in module.INTERFACE.hears if each.topic == topic)
+        (heard,) = (each for each in module.INTERFACE.subscribes if each.topic == topic)
         try:
             heard.handler(self.node, message)
         except ProtocolError as error:

@@ -32,20 +32,20 @@ from construction_twin.extensions.console.remote_review import (
 from construction_twin.extensions.console.remote_view import (
     ClosestView,
     PoseView,
-    Seen,
     Shown,
+    ViewInputs,
     ViewWriter,
 )
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.link.requests import (
+    ButtonPress,
     IkRequest,
     Joints,
     LowerSpeed,
     Override,
-    Pressed,
-    PressedAsSeen,
     RaiseSpeed,
+    StampedButtonPress,
     Verdict,
     read,
     read_document,
@@ -259,7 +259,7 @@ class ScriptedRobot:
             stamp = now / 1e9
             plan = self.trajectory
             progress = 0.0 if plan is None or not self._playing else min(1.0, self._elapsed / plan.duration)
-            seen = Seen(
+            seen = ViewInputs(
                 twin=PoseView(stamp, 0.0, tuple(self.twin)),
                 arm=PoseView(self.arm_stamp or stamp, 0.0, tuple(self.twin + self.arm_error)),
                 expected=None
@@ -284,7 +284,7 @@ class ScriptedRobot:
                 plan="" if self.plan is None else self.plan.id,
                 closest=ClosestView(0.31, ("link_4", "table"), tuple(self.tool(self.twin)), 0.0),
                 progress=progress,
-                speed=self.speed_limits.report(time.monotonic_ns()),
+                speed=self.speed_limits.state_report(time.monotonic_ns()),
             )
             payload = self._writer.write(now, seen, present())
         self._client.publish(self._topics.view, payload)
@@ -465,7 +465,7 @@ class ScriptedRobot:
         by = (GATEWAY, EXECUTOR) if verb == "stop" else (EXECUTOR,)
         try:
             document = read_document(payload, retained, verb, kind.limit)
-            asked = read(PressedAsSeen if verb == "resume" else Pressed, document, verb)
+            asked = read(StampedButtonPress if verb == "resume" else ButtonPress, document, verb)
         except PayloadError as error:
             for each in by:
                 self._answer(kind, account, False, str(error), by=each)

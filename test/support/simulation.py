@@ -350,7 +350,7 @@ class SimulatedChain:
         self._tell_tool()
 
     def _tell_tool(self) -> None:
-        self.executor.on_tool(self._tool_link.report(""), self.now)
+        self.executor.on_tool(self._tool_link.state_report(""), self.now)
 
     def _receive(self, payload: bytes, properties: StateProperties) -> None:
         try:

@@ -31,7 +31,7 @@ class Unplugged:
         report: Of the node that was made last.
     """
 
-    report: Callable
+    diagnose: Callable
 
     def __init__(self, monkeypatch, shell: NodeShell, settings, robot, pose: Callable = lambda *_: (), parameters=None):
         self.callbacks: dict[str, Callable] = {}
@@ -56,8 +56,8 @@ class Unplugged:
         patch(Subscriber, "bench", self, raising=False)
         self.node = shell.open(settings, robot)
 
-    def _diagnostics(self, _name: str, report: Callable, _kind: str = "state"):
-        Unplugged.report = staticmethod(report)
+    def _diagnostics(self, _name: str, diagnose: Callable, _kind: str = "state"):
+        Unplugged.diagnose = staticmethod(diagnose)
         return SimpleNamespace(
             refuse=lambda *said: self.refused.append(said), count=lambda *said: self.counted.append(said)
         )

@@ -178,7 +178,7 @@ class Bench:
 
     def hear(self, topic: str, message) -> None:
         """Publish a message on one of the topics that the node hears."""
-        (one,) = (one for one in module.INTERFACE.hears if one.topic == topic)
+        (one,) = (one for one in module.INTERFACE.subscribes if one.topic == topic)
         one.handler(self.node, over_the_wire(message))
 
     def show(self, scene: Scene | None = None) -> None:

@@ -19,7 +19,7 @@ class LineLimiter:
         # per reason: when a line was written last, and how many were left out since
         self._lines: dict[str, tuple[int, int]] = {}
 
-    def note(self, reason: str, now: int) -> str | None:
+    def admit(self, reason: str, now: int) -> str | None:
         """Return what to append to a line, "" or how many like it were left out before; None: it must not be written.
 
         `reason`: One of few, never text that came from outside, because every kind is remembered.

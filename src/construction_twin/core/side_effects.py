@@ -102,7 +102,7 @@ class SideEffects:
             return dict(counts)
         return {f"{prefix}_{what.replace(' ', '_')}": count for what, count in counts}
 
-    def report(self) -> dict[str, object]:
+    def status_fields(self) -> dict[str, object]:
         """Return the values for `/diagnostics`; empty while nothing has failed."""
         counts = self.counts()
         if not counts:

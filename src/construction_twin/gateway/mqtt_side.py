@@ -20,7 +20,7 @@ from construction_twin.gateway.states import State
 from construction_twin.gateway.stop_file import StopFile
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.client import Broker, make_client, offline_word, subscriptions, unique_id
-from construction_twin.mqtt.failures import ConnectionReport
+from construction_twin.mqtt.failures import ConnectionLog
 from construction_twin.mqtt.messages import (
     PROTOCOL,
     VERBS,
@@ -79,7 +79,7 @@ class MqttSide:
         self._number = 1
         will = offline_word(gateway.run, self._number)
         client = make_client(broker, unique_id(topics.robot, "gateway"), topics.status, will)
-        self._connection = ConnectionReport(broker, self._say_connection)
+        self._connection = ConnectionLog(broker, self._say_connection)
         client.on_connect = partial(guarded, self._on_connect)
         client.on_disconnect = partial(guarded, self._on_disconnect)
         client.on_stream(topics.command, partial(guarded, self._on_command))
@@ -241,6 +241,6 @@ class MqttSide:
 
     def say(self, level: int, kind: str, text: str) -> None:
         """Write a line of a kind, not too often."""
-        note = self._lines.note(kind, self.now)
+        note = self._lines.admit(kind, self.now)
         if note is not None:
             log.log(level, "%s: %s%s", kind, text, note)

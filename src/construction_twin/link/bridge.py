@@ -121,7 +121,7 @@ class JointStrings:
     def __init__(self, codec: JointStringCodec, properties: bool, bare: bool, max_age: float):
         self._codec = codec
         self.properties = properties and not bare
-        self._read_beside = no_properties if bare else read_state_properties
+        self._read_properties = no_properties if bare else read_state_properties
         self._check = StateCheck(max_age)
         self.sent = self.received = 0
 
@@ -148,14 +148,14 @@ class JointStrings:
             raise PayloadError("retained", "retained state: its age is unknown")
         q = self._codec.decode(payload)
         # where the link carries properties, a pose without them is not the gateway's
-        beside = self._read_beside(pairs) if pairs or self.properties else None
+        beside = self._read_properties(pairs) if pairs or self.properties else None
         if beside is not None:
             self._check.accept(beside.seq, beside.stamp, now)
         self.received += 1
         return q, beside or _NO_PROPERTIES
 
 
-class Asked:
+class PendingRequest:
     """A person's request for a session, from the call to the answer.
 
     Attributes:
@@ -174,7 +174,7 @@ class Asked:
     def answer(self, now: int, ending: bool) -> tuple[bool, str] | None:
         """Return whether the link is armed, and one sentence; None: ask again. The last look withdraws what has failed."""
         if self._answer is None:
-            self._answer = self._look(ending or now >= self._deadline, now)
+            self._answer = self._outcome(ending or now >= self._deadline, now)
             self._deadline = now + WITHDRAWAL if self._answer else self._deadline
         # who asks again at once must know of the stop with which it is withdrawn
         supervisor = self._supervisor
@@ -182,7 +182,7 @@ class Asked:
             return None
         return self._answer
 
-    def _look(self, late: bool, now: int) -> tuple[bool, str] | None:
+    def _outcome(self, late: bool, now: int) -> tuple[bool, str] | None:
         supervisor = self._supervisor
         has_begun = supervisor.session != self._before
         if supervisor.halts != self._halts:
@@ -227,7 +227,7 @@ class Bridge:
         self.played = ""
         self._strings, self._timeout, self._new_id = strings, timeout, new_id
         self._tool = ToolLink(new_id)
-        self._tool_told: ToolReport | None = None
+        self._published_tool: ToolReport | None = None
         #: The last stop that is known, and from when on a view surely shows it.
         self._stop: object = None
         self._stop_shown_from: Moment | None = None
@@ -235,8 +235,8 @@ class Bridge:
         self.waits = waits
         # what the gateway's last status says beside its counters
         self._values: dict[str, str] = {}
-        self._told: tuple[LinkState, str, str] | None = None
-        self._told_at = 0
+        self._published: tuple[LinkState, str, str] | None = None
+        self._published_at = 0
         # session and speed limit that were sent last, when, and how many were; and the one that is still to be sent
         self._limit, self._limit_at, self._limits = ("", 1.0), 0, 0
         self._next_limit: float | None = None
@@ -247,7 +247,7 @@ class Bridge:
         """Update the link; return what is to be sent now."""
         supervisor = self.supervisor
         control = supervisor.poll(now)
-        self._note_stops(present)
+        self._record_stops(present)
         # the first sentence stays until nobody is waited for: figures may waver in those that follow
         waits = supervisor.waits_for
         self.waits = waits and (self.waits or waits)
@@ -316,8 +316,8 @@ class Bridge:
             obstacle = Sentence("a bare PLC has no tool here: no switch is possible")
         elif self.supervisor.state in (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE, LinkState.MISMATCH):
             obstacle = self._link_sentence
-        before, self._tool_told = self._tool_told, self._tool.report(obstacle)
-        return None if self._tool_told == before else self._tool_told
+        before, self._published_tool = self._published_tool, self._tool.state_report(obstacle)
+        return None if self._published_tool == before else self._published_tool
 
     @property
     def _link_sentence(self) -> Sentence:
@@ -326,7 +326,7 @@ class Bridge:
 
     # -- what a person asks for
 
-    def ask(self, verb: str, person: str, moment: str | None, now: int, present: Moment) -> Asked:
+    def ask(self, verb: str, person: str, moment: str | None, now: int, present: Moment) -> PendingRequest:
         """Ask for a session: `reset` starts over from the arm's pose, `arm` where nothing needs to move for it.
 
         Args:
@@ -337,7 +337,7 @@ class Bridge:
             PayloadError: `act`, `moment`
             ReviewError: What stands against it.
         """
-        self._note_stops(present)
+        self._record_stops(present)
         if moment is not None:
             seen = parse_moment(moment)
             if problem := staleness(seen, present):
@@ -346,7 +346,7 @@ class Bridge:
                 raise ExpiredError(
                     Sentence("this is void: the arm was stopped after what the screen had shown; ask anew")
                 )
-        asked = Asked(self.supervisor, now, self._timeout)
+        asked = PendingRequest(self.supervisor, now, self._timeout)
         if verb == "reset":
             self.supervisor.request_reset(now)
         elif verb == "arm":
@@ -356,15 +356,15 @@ class Bridge:
         asked.number = self.supervisor.requests
         return asked
 
-    def _note_stops(self, present: Moment) -> None:
+    def _record_stops(self, present: Moment) -> None:
         stop = (*self.supervisor.known_stop, self.supervisor.halts)
         if stop != self._stop:
             self._stop, self._stop_shown_from = stop, replace(present, at=present.at + SHOWN_AFTER)
 
-    def mirror(self, leads: bool, now: int) -> tuple[str, Asked | None]:
+    def mirror(self, leads: bool, now: int) -> tuple[str, PendingRequest | None]:
         """Begin or end mirror mode; return one sentence, and the request that it ends in."""
         supervisor = self.supervisor
-        asked, before = Asked(supervisor, now, self._timeout), supervisor.requests
+        asked, before = PendingRequest(supervisor, now, self._timeout), supervisor.requests
         sentence = supervisor.begin_mirror(now) if leads else supervisor.end_mirror(now)
         asked.number = supervisor.requests
         return sentence, asked if asked.number != before else None
@@ -391,10 +391,10 @@ class Bridge:
         """Return whether the link is to be reported now, and whether it has changed but for figures."""
         supervisor = self.supervisor
         news = supervisor.state, without_counts(self.reason(connection)), supervisor.session
-        changed = news != self._told
-        if not changed and now - self._told_at < _REPEAT:
+        changed = news != self._published
+        if not changed and now - self._published_at < _REPEAT:
             return False, False
-        self._told, self._told_at = news, now
+        self._published, self._published_at = news, now
         return True, changed
 
     def status(self) -> bytes:
@@ -408,7 +408,7 @@ class Bridge:
     def _gateway_values(self) -> dict[str, object]:
         return {**self.supervisor.inputs.status.counters, **self._values}
 
-    def report(self, connection: str, refused: Mapping[str, int], stamp: int) -> LinkReport:
+    def state_report(self, connection: str, refused: Mapping[str, int], stamp: int) -> LinkReport:
         """Return the report on `link`; `refused`: how often inputs were refused, by reason."""
         supervisor, status = self.supervisor, self.supervisor.inputs.status
         reply = status.reply_us

@@ -24,7 +24,7 @@ from construction_twin.link.observations import SHOWN_AFTER
 from construction_twin.link.requests import LEAST_SPEED
 
 #: Largest file that is read, and the least that it has [bytes].
-MOST, ROOM = 1 << 16, 4096
+MAX_BYTES, MIN_BYTES = 1 << 16, 4096
 #: Nobody has set one; and what counts where what people had set is not known: a restart raises nothing.
 NOBODY, UNKNOWN = SpeedChange("", 1.0, 1.0, ""), SpeedChange("", LEAST_SPEED, 1.0, "")
 #: Keys of the file, in the order of the record.
@@ -42,7 +42,7 @@ def read_people(path: Path) -> tuple[SpeedChange, str]:
         path.parent.mkdir(parents=True, exist_ok=True)
         is_first = not mark.exists() and not path.exists()
         mark.touch()
-        people = NOBODY if is_first else _people(json.loads(read_file(path, MOST)))
+        people = NOBODY if is_first else _people(json.loads(read_file(path, MAX_BYTES)))
     except (OSError, ValueError, TypeError, KeyError) as error:
         return UNKNOWN, f"{path}: {error}"[:200]
     problem = write_people(path, people)
@@ -60,7 +60,7 @@ def _people(found: Mapping[str, Any]) -> SpeedChange:
 def write_people(path: Path, people: SpeedChange) -> str:
     """Write it; return why that was not possible, "" when it was. What could not be written is not known after a restart."""
     try:
-        write_in_place(path, json.dumps(dict(zip(_KEYS, astuple(people)))) + "\n", ROOM)
+        write_in_place(path, json.dumps(dict(zip(_KEYS, astuple(people)))) + "\n", MIN_BYTES)
     except OSError as error:
         with contextlib.suppress(OSError):
             path.unlink()
@@ -85,8 +85,8 @@ class SpeedLimits:
         self._lowered = started
 
     def set(self, limit: float, person: str, moment: str, now: Moment, at: int) -> str:
-        """Take the limit that a person sets; return the sentence of the answer. Arguments and errors are of `asked`."""
-        before, self.people = self.people, self.asked(limit, person, moment, now, at)
+        """Take the limit that a person sets; return the sentence of the answer. Arguments and errors are of `requested_change`."""
+        before, self.people = self.people, self.requested_change(limit, person, moment, now, at)
         if self.people is before:
             return Sentence("the speed limit of people is {percent:.0f}% already", percent=100 * limit)
         self.problem = ""
@@ -102,7 +102,7 @@ class SpeedLimits:
             "the speed limit of people is lowered to {percent:.0f}%; {former}", percent=now_is, former=former
         )
 
-    def asked(self, limit: float, person: str, moment: str, now: Moment, at: int) -> SpeedChange:
+    def requested_change(self, limit: float, person: str, moment: str, now: Moment, at: int) -> SpeedChange:
         """Return what `set` would make the limit of people at the ROS time `at` [ns]; a moment only raises it, none only lowers it.
 
         Raises:
@@ -138,7 +138,7 @@ class SpeedLimits:
                 raise ExpiredError(Sentence("the raise of the speed limit is void: it was lowered since; ask anew"))
         return SpeedChange(person, limit, before.limit, before.person, at)
 
-    def report(self, now: int) -> SpeedReport | None:
+    def state_report(self, now: int) -> SpeedReport | None:
         """Return what is in force at `now` [ns, monotonic]; None before anybody has set a limit: nothing is to be repeated then."""
         program, people = self.program, self.people
         allowed = program.update(now)

@@ -313,7 +313,7 @@ class Intervention:
 def parse_intervention(account: str, payload: bytes, retained: bool) -> Intervention:
     """Return what is asked for in a message on `stop/<account>`; PayloadError, ``retained`` or ``stop``.
 
-    The bridge's side reads it by its model (`link.requests.Pressed`); a moment may stand in it.
+    The bridge's side reads it by its model (`link.requests.ButtonPress`); a moment may stand in it.
     """
     demand_live(retained, STOP.name)
     document = parse_object(payload, STOP.name, STOP.limit)

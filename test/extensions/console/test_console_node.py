@@ -117,10 +117,10 @@ def bench(monkeypatch, tmp_path, request):
 
 
 def test_what_people_do_has_a_connection_of_its_own(bench):
-    assert bench.node.report().level == WARN, "there is no connection yet"
+    assert bench.node.diagnose().level == WARN, "there is no connection yet"
     for line in (bench.acts, bench.line):
         line.come_up()
-    assert bench.node.report().level == OK
+    assert bench.node.diagnose().level == OK
     acts = {
         "stop/+",
         "pause/+",
@@ -139,7 +139,7 @@ def test_what_people_do_has_a_connection_of_its_own(bench):
     assert set(bench.line.topics) == {TOPIC + topic for topic in others}
     assert bench.acts.said("plan") == [None] and bench.line.said("view")[0]["online"]
     bench.acts.connected = False
-    assert bench.node.report().level == WARN
+    assert bench.node.diagnose().level == WARN
 
 
 def test_reports_and_requests_find_their_parts_and_an_end_takes_away_what_was_shown(bench):
@@ -159,7 +159,7 @@ def test_reports_and_requests_find_their_parts_and_an_end_takes_away_what_was_sh
     wait_until(lambda: len(bench.asked) == 3, what="what was asked for")
     assert {name for name, _ in bench.asked} == {"executor/act_as_seen", "review_plan", "plan_trajectory"}
     wait_until(lambda: bench.line.said("trajectory/ack") and bench.acts.said("stop/ack"), what="the answers")
-    assert bench.node.report().values["stop taken"] == 1
+    assert bench.node.diagnose().values["stop taken"] == 1
     bench.hear("review", Review(plan_id="p1"))
     assert bench.acts.said("plan")[-1] is None
     bench.hear("plan", Plan(id="p2"))

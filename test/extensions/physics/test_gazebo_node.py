@@ -45,7 +45,7 @@ def tell(node: GazeboNode, scene: Scene) -> None:
 
 
 def test_before_the_scene_is_known_it_waits(node):
-    assert node.report().sentence == "Gazebo is started when the scene is known"
+    assert node.diagnose().sentence == "Gazebo is started when the scene is known"
 
 
 def test_it_becomes_the_program_that_it_was_told_with_the_world_of_its_robot(node, become):
@@ -66,7 +66,7 @@ def test_a_scene_that_cannot_be_simulated_is_reported_and_the_next_one_is_used(n
         made.append(scene.hash)
         if scene.objects:
             raise ConstructionTwinError("no such mesh")
-        assert node.report().level == module.ERROR and "no such mesh" in node.report().sentence
+        assert node.diagnose().level == module.ERROR and "no such mesh" in node.diagnose().sentence
         return world_of(bodies, scene, *more)
 
     monkeypatch.setattr(module, "world_of", make)

@@ -284,7 +284,7 @@ def test_without_mujoco_it_rests_where_nobody_asked_for_it_and_else_does_not_sta
     rests.callbacks["plan"](plan_to_msg(plain_plan(), "base_link", np.zeros((2, 3))))
     rests.node.work(0.0)
     assert rests.published["rehearsal"] == [] and bench.process.requests == []
-    assert "mujoco" in rests.node.report().sentence
+    assert "mujoco" in rests.node.diagnose().sentence
     NODE.check(SETTINGS.model_copy(update={"mode": "auto"}), ROBOT, {})
     with pytest.raises(ConfigurationError):
         NODE.check(SETTINGS, ROBOT, {})

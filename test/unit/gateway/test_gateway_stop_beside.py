@@ -76,7 +76,7 @@ def failing_log(note):
 @pytest.mark.parametrize(
     "what, owner, name, broken",
     [
-        ("the_log", LineLimiter, "note", failing_log(LineLimiter.note)),
+        ("the_log", LineLimiter, "admit", failing_log(LineLimiter.admit)),
         ("the_way_to_rest", StopReport, "begin", fail),
         ("the_way_to_rest", StopReport, "advance", fail),
     ],

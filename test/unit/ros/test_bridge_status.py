@@ -50,7 +50,7 @@ def test_playout_mode_and_intruder_reach_link_and_diagnostics(bench):
     assert shown["last_refusal"].startswith("arm: ")
     # and beside them what was there before
     assert (shown["refused_arm"], shown["decimals"]) == ("1", "3")
-    values = bench.bridge.report().values
+    values = bench.bridge.diagnose().values
     assert {f"gateway {name}" for name in shown} - set(values) == {
         "gateway decimals",
         "gateway reply_us_max",
@@ -67,7 +67,7 @@ def test_what_the_controller_says_against_a_motion_stands_in_link_and_diagnostic
     assert (shown["controller_mode"], shown["controller_program"]) == ("AUT", "STOP")
     assert (shown["controller_override_percent"], shown["controller_sentence"]) == ("100", stopped.sentence)
     assert bench.links[-1][0].reason.endswith(f"; {stopped.sentence}")
-    assert bench.bridge.report().sentence.endswith(f"; {stopped.sentence}")
+    assert bench.bridge.diagnose().sentence.endswith(f"; {stopped.sentence}")
     bench.shown(status | {"controller": RsiStatus(3, 3, 100.0).report()})
     assert "STOP" not in bench.links[-1][0].reason
 
@@ -142,7 +142,7 @@ def test_counters_may_grow_in_other_threads_while_they_are_reported(clocks, monk
         for _ in range(300):
             clocks.run(1.1)
             bench.bridge.poll()
-            bench.bridge.report()
+            bench.bridge.diagnose()
     finally:
         ended.set()
         sys.setswitchinterval(interval)

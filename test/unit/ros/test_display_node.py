@@ -60,7 +60,7 @@ class Bench:
         given = Settings(**{"arm": "mock", "twin": "kinematic", "servo_model": ""} | settings)
         unplugged = Unplugged(monkeypatch, NODE, given, dataclasses.replace(ROBOT, name="kr120"))
         self.callbacks, self.services, self.refused = unplugged.callbacks, unplugged.services, unplugged.refused
-        self.published, self.report = unplugged.published, unplugged.node.report
+        self.published, self.diagnose = unplugged.published, unplugged.node.diagnose
         self.messages = unplugged.published["plan_markers"]
         self._move_ghost, self._show_sync = unplugged.timers
 
@@ -114,14 +114,14 @@ def plain(monkeypatch) -> Bench:
 
 def test_the_twin_s_pose_is_published_with_velocities_and_its_own_stamp(plain):
     sent = plain.published["velocities/joint_states"]
-    assert plain.report().sentence == "the twin has no pose yet" and plain.report().level != 0
+    assert plain.diagnose().sentence == "the twin has no pose yet" and plain.diagnose().level != 0
     plain.hear_twin(107.0, 0)
     plain.hear_twin(107.001, 1, tuple(HOME + 0.01))
     assert (sent[1].header.stamp.to_nsec(), tuple(sent[1].name)) == (5 * NANOSECONDS + PERIOD, ROBOT.joint_names)
     np.testing.assert_allclose(sent[1].position, HOME + 0.01)
     np.testing.assert_allclose(sent[1].velocity, 0.5)
     # the thread reads on when the next one is of interest
-    assert plain.slept == [0.0, pytest.approx(0.019)] and plain.report().level == 0
+    assert plain.slept == [0.0, pytest.approx(0.019)] and plain.diagnose().level == 0
 
 
 def test_a_twin_that_falls_silent_in_mid_motion_is_shown_at_rest_once_and_watched_again_when_it_is_back(plain):
@@ -137,7 +137,7 @@ def test_a_twin_that_falls_silent_in_mid_motion_is_shown_at_rest_once_and_watche
             plain.at(later + back)
         assert len(sent) == 3 * back + 3 and tuple(sent[-1].velocity) == (0.0,) * 6
         assert (sent[-1].position, sent[-1].header.stamp) == (sent[-2].position, sent[-2].header.stamp)
-        assert "silent" in plain.report().sentence and plain.report().level != 0
+        assert "silent" in plain.diagnose().sentence and plain.diagnose().level != 0
 
 
 # -- tf

@@ -33,7 +33,7 @@ from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.segment_run import ToolOrder
 from construction_twin.robot.segments import Switch
 from construction_twin.ros.nodes import executor as module
-from construction_twin.ros.shared.diagnostics import ERROR, LINES_KEPT, DeferredLog
+from construction_twin.ros.shared.diagnostics import ERROR, MAX_LINES, DeferredLog
 
 
 @pytest.fixture
@@ -402,7 +402,7 @@ class TestAge:
 
 def test_a_full_log_forgets_the_oldest_lines():
     log, lines = DeferredLog(), []
-    for k in range(LINES_KEPT + 5):
+    for k in range(MAX_LINES + 5):
         log.add(lines.append, k)
     log.flush()
     assert lines[0] == 5 and log.flush() is None
@@ -644,7 +644,7 @@ class TestEngaged:
         assert again.executor.engagement.present.reason == "the executor ended before the plan did"
         again.node.keep_engagement()
         assert again.messages("engagement")[-1].engaged
-        assert again.node.report().sentence.startswith("the arm was left in engaged segment 'lift' of plan w")
+        assert again.node.diagnose().sentence.startswith("the arm was left in engaged segment 'lift' of plan w")
 
     def test_is_released_in_a_person_s_name_and_recorded(self, work, tmp_path):
         work.left_in_lift()
@@ -688,5 +688,5 @@ class TestEngaged:
         )
         work.run(100)
         assert work.executor.state is ExecutorState.AT_BOUNDARY and work.executor.segment_run.number == 0
-        report = work.node.report()
+        report = work.node.diagnose()
         assert report.level == ERROR and str(tmp_path / "reviews_engagement.json") in report.sentence

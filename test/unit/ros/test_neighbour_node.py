@@ -88,17 +88,17 @@ def bench(monkeypatch) -> Bench:
 
 def test_without_a_plan_there_is_no_verdict(bench):
     bench.node.check()
-    assert not bench.said and bench.node.report().level == WARN
+    assert not bench.said and bench.node.diagnose().level == WARN
 
 
 def test_a_plan_beside_an_arm_that_stands_is_free_until_that_arm_stands_in_its_path(bench):
     bench.own.offer(OURS)
     assert (bench.verdict().plan_id, bench.verdict().conflict, bench.verdict().reason) == ("ours", False, "")
-    assert bench.node.report().level == OK
+    assert bench.node.diagnose().level == OK
     bench.pose = TOWARDS
     found = bench.verdict()
     assert found.conflict and "b/link_" in found.reason and "stands there" in found.reason
-    assert (bench.node.report().level, bench.node.report().sentence) == (WARN, found.reason)
+    assert (bench.node.diagnose().level, bench.node.diagnose().sentence) == (WARN, found.reason)
 
 
 def test_a_plan_waits_until_the_plan_that_it_meets_has_ended(bench):
@@ -149,7 +149,7 @@ def test_a_node_that_was_started_again_stops_nothing_before_it_knows_what_is_pla
     bench.own.listener._execution = None
     bench.own.offer(OURS)
     bench.node.check()
-    assert not bench.said and bench.node.report().level == WARN
+    assert not bench.said and bench.node.diagnose().level == WARN
     bench.own.follow(ExecutorState.PLAYING, OURS, 20)
     assert not bench.verdict().conflict
 
@@ -189,7 +189,7 @@ def test_while_the_other_arm_is_not_known_nothing_starts(bench):
     assert not bench.verdict().conflict
     bench.other.say("scene", Scene(hash="wrong"))
     assert bench.other.refused and bench.verdict().conflict
-    assert bench.node.report().level == WARN
+    assert bench.node.diagnose().level == WARN
 
 
 def test_before_the_first_word_of_an_executor_nothing_starts(bench, monkeypatch):

@@ -118,7 +118,7 @@ def test_with_a_helper_that_fails_as_nobody_foresaw(world, monkeypatch, which, h
     assert sum(world.node.side_effects.counts().values()) > 0
     world.node.do_background_work()
     assert any("Unforeseen" in line and "Traceback" in line for _, line in world.logged) or place is rospy
-    report = world.node.report()
+    report = world.node.diagnose()
     assert report.level == WARN and "nobody foresaw this" in report.sentence
     assert any(key.startswith("failed beside an act") for key in report.values)
 
@@ -148,7 +148,7 @@ def test_with_a_full_disk_the_record_comes_later(world, monkeypatch, tmp_path, w
         assert act(world, which).success
         is_carried_out(world, which)
         world.run(1).node.do_background_work()
-        assert "no space left on device" in world.node.report().sentence
+        assert "no space left on device" in world.node.diagnose().sentence
     world.node.do_background_work()
     written = [line.get("outcome", line.get("verdict")) for line in records(tmp_path)]
     assert (

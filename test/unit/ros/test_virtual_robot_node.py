@@ -318,7 +318,7 @@ def test_what_gazebo_answers_is_the_twin_s_pose_with_the_stamp_of_the_command(mo
         bench.callbacks["gazebo/joint_states"](stamp, sagged)
     assert bench.published["twin/joint_states"] == [(stamp, sagged) for stamp in STAMPS[:3]]
     assert bench.published["twin/commanded"] == [(stamp, HOME) for stamp in STAMPS[:3]]
-    assert bench.refused == [] and bench.report().sentence == "executing"
+    assert bench.refused == [] and bench.diagnose().sentence == "executing"
 
 
 def test_a_silent_gazebo_is_told_and_what_is_commanded_goes_on(monkeypatch):
@@ -328,5 +328,5 @@ def test_a_silent_gazebo_is_told_and_what_is_commanded_goes_on(monkeypatch):
         bench.node.on_command(stamp, HOME)
     assert [stamp for stamp, _ in bench.published["twin/commanded"]] == stamps
     assert bench.published["twin/joint_states"] == []
-    report = bench.report()
+    report = bench.diagnose()
     assert report.level == module.WARN and report.sentence.startswith("Gazebo has answered no command for 1 s")

@@ -230,7 +230,7 @@ class Shown(Generic[_Report]):
 
 
 @dataclass(frozen=True)
-class Seen:
+class ViewInputs:
     """What a view is made of, `plan` the id of the one under review; None: not known, or too old to be shown as the present."""
 
     twin: PoseView | None = None
@@ -255,19 +255,19 @@ class ViewWriter:
         self._joints = JointsView(joints.names, ["prismatic" if linear else "revolute" for linear in joints.linear])
         self._seq = 0
 
-    def write(self, now: int, seen: Seen, moment: Moment) -> bytes:
+    def write(self, now: int, inputs: ViewInputs, moment: Moment) -> bytes:
         """Return the next message at the ROS time `now` [ns], with the moment that requests of whoever sees it repeat."""
         self._seq += 1
-        return self._message(True, self._seq, now, seen, str(moment))
+        return self._message(True, self._seq, now, inputs, str(moment))
 
     def offline(self) -> bytes:
         """Return the last will, a run's last message too: nothing is known. Its `seq` and `stamp` are 0, its `moment` is ""."""
-        return self._message(False, 0, 0, Seen(), "")
+        return self._message(False, 0, 0, ViewInputs(), "")
 
-    def _message(self, online: bool, seq: int, now: int, seen: Seen, moment: str) -> bytes:
-        progress, segment = seen.progress, _segment(seen.execution)
-        reports = [each.report for each in (seen.sync, seen.link, seen.execution) if each is not None]
-        execution = seen.execution.report if seen.execution is not None and seen.plan else ExecutionReport("", "")
+    def _message(self, online: bool, seq: int, now: int, inputs: ViewInputs, moment: str) -> bytes:
+        progress, segment = inputs.progress, _segment(inputs.execution)
+        reports = [each.report for each in (inputs.sync, inputs.link, inputs.execution) if each is not None]
+        execution = inputs.execution.report if inputs.execution is not None and inputs.plan else ExecutionReport("", "")
         view = View(
             version=VERSION,
             compatible=COMPATIBLE,
@@ -279,19 +279,21 @@ class ViewWriter:
             moment=moment,
             units=_UNITS,
             joints=self._joints,
-            twin=seen.twin,
-            arm=seen.arm,
-            expected=seen.expected,
-            sync=_part(SyncView, seen.sync),
-            link=_part(LinkView, seen.link, round_trip_ms=_round_trip_ms(seen.sync), controller=_controller(seen.link)),
-            execution=_part(ExecutionView, seen.execution, progress=progress, segment=segment),
-            plan=seen.plan,
-            closest=seen.closest,
-            hold=HoldView(seen.hold.cause, round(seconds(seen.hold.since), _TIME)) if seen.hold.cause else None,
+            twin=inputs.twin,
+            arm=inputs.arm,
+            expected=inputs.expected,
+            sync=_part(SyncView, inputs.sync),
+            link=_part(
+                LinkView, inputs.link, round_trip_ms=_round_trip_ms(inputs.sync), controller=_controller(inputs.link)
+            ),
+            execution=_part(ExecutionView, inputs.execution, progress=progress, segment=segment),
+            plan=inputs.plan,
+            closest=inputs.closest,
+            hold=HoldView(inputs.hold.cause, round(seconds(inputs.hold.since), _TIME)) if inputs.hold.cause else None,
             approval_obstacle=execution.approval_obstacle,
             overridable=execution.overridable,
-            speed=_speed(seen.speed),
-            said=told([each.reason for each in reports], seen.hold.cause, execution.approval_obstacle, seen.speed),
+            speed=_speed(inputs.speed),
+            said=told([each.reason for each in reports], inputs.hold.cause, execution.approval_obstacle, inputs.speed),
         )
         return _VIEWS.dump_json(view)
 

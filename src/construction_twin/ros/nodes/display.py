@@ -37,7 +37,7 @@ from construction_twin.ros.messages.display_markers import (
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import tf_frame
 from construction_twin.ros.shared import node_shell as shell
-from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
 from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.plan_display import PlanDisplay
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
@@ -174,11 +174,11 @@ def _transform(parent: str, child: str, place: PyKDL.Frame, stamp: genpy.Time) -
 class DisplayNode:
     """Poses, trees of tf and the picture of the monitor's state; the plan is a `PlanDisplay`'s."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
         self._robot = robot
-        self._publishers, self._diagnostics = ports.publishers, ports.diagnostics
+        self._publishers, self._diagnostics = node_io.publishers, node_io.diagnostics
         self._shapes = visual_markers(robot.urdf)
-        self.plan = PlanDisplay(robot, self._shapes, self._prefix("preview"), ports)
+        self.plan = PlanDisplay(robot, self._shapes, self._prefix("preview"), node_io)
         self._text_height = headline_height(Chain(robot))
         self._sync: tuple[float, Sync] | None = None
         self._hold: HoldReport | None = None
@@ -191,7 +191,7 @@ class DisplayNode:
         self._silent = False
         self._twin_shown: ShownPoses[JointState] = ShownPoses()
         self._poses_shown = {tree: ShownPoses[tuple[int, tuple[float, ...]]]() for tree in TREES}
-        cell = ports.parameters["cell"]
+        cell = node_io.parameters["cell"]
         place = Pose(np.zeros(3), np.eye(3)) if cell is None else load_cell(cell).world_T_root(robot.name)
         self._frames = RobotFrames(robot, place)
         self._publish_static_frames(settings)
@@ -291,14 +291,14 @@ class DisplayNode:
         over_arm = headline_marker(*shown, tf_frame(prefix, self._robot.base_link), self._text_height)
         publisher.publish(MarkerArray(markers=[*arm_markers(self._shapes, shown[0], prefix), over_arm]))
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         values = {"plan": self.plan.plan_id, "state": self._sync_shown[0].name if self._sync_shown else ""}
         if self._twin is None:
-            return Report(WARN, "the twin has no pose yet", values)
+            return Diagnosis(WARN, "the twin has no pose yet", values)
         if self._silent:
-            return Report(WARN, "the twin is silent: its last pose is shown, at rest", values)
-        return Report(OK, "shows twin, arm and plan", values)
+            return Diagnosis(WARN, "the twin is silent: its last pose is shown, at rest", values)
+        return Diagnosis(OK, "shows twin, arm and plan", values)
 
 
 def _shown_pose(topic: str, tree: str, when: shell.When) -> shell.PoseSubscription:
@@ -308,7 +308,7 @@ def _shown_pose(topic: str, tree: str, when: shell.When) -> shell.PoseSubscripti
 
 
 INTERFACE = shell.Interface(
-    report=DisplayNode.report,
+    diagnose=DisplayNode.diagnose,
     parameters=(shell.SharedParameter("cell"),),
     publishes=(
         shell.Publication("velocities/joint_states", JointState, queue_size=5),
@@ -319,7 +319,7 @@ INTERFACE = shell.Interface(
         shell.Publication("plan_markers", MarkerArray, queue_size=2, latch=True),
         shell.Publication("sync_markers", MarkerArray, queue_size=2, latch=True, when=shell.has_arm),
     ),
-    hears=(
+    subscribes=(
         shell.PoseSubscription("twin/joint_states", DisplayNode.on_twin, queue_size=1),
         shell.Subscription("joint_states", JointState, DisplayNode.on_joints, queue_size=1),
         _shown_pose("physical/joint_states", "physical", shell.has_arm),
@@ -336,9 +336,9 @@ INTERFACE = shell.Interface(
         shell.Subscription("rehearsal", Rehearsal, lambda node, message: node.plan.on_rehearsal(message), queue_size=2),
     ),
     serves=(shell.Served("preview_plan", PreviewPlan, lambda node, request: node.plan.on_preview(request)),),
-    every=(
-        shell.Every(lambda _settings: FRAME_PERIOD, DisplayNode.move_ghost),
-        shell.Every(lambda _settings: SYNC_PERIOD, DisplayNode.show_sync),
+    timers=(
+        shell.NodeTimer(lambda _settings: FRAME_PERIOD, DisplayNode.move_ghost),
+        shell.NodeTimer(lambda _settings: SYNC_PERIOD, DisplayNode.show_sync),
     ),
 )
 

@@ -38,7 +38,7 @@ from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.messages.records import from_msg, sentence_of, to_msg
 from construction_twin.ros.messages.tool import engagement_to_msg, order_to_msg, tool_report_from_msg
 from construction_twin.ros.shared import node_shell as shell
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, DeferredLog, Report
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, DeferredLog, Diagnosis
 from construction_twin.ros.shared.params import NodeSettings, robot_file
 from construction_twin.ros.transport.cycle import Cycles
 from construction_twin.ros.transport.joint_stream import from_time, now_ns
@@ -75,8 +75,8 @@ def _do(_what: str, part: Callable[..., _Result], *arguments: object) -> _Result
 class ExecutorNode:
     """ROS around an `Executor`, whose lock it holds for every use. A method for each of 18 topics and services."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
-        self._robot, self._ports, self._diagnostics = robot, ports, ports.diagnostics
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
+        self._robot, self._node_io, self._diagnostics = robot, node_io, node_io.diagnostics
         self._log = ReviewLog(robot_file(settings.review_file, robot.name), time.time_ns)
         file = self._log.file.path
         left = file.with_name(f"{file.stem}_engagement.json")
@@ -111,7 +111,7 @@ class ExecutorNode:
 
     def run(self) -> None:
         """Publish one setpoint per cycle until shutdown."""
-        publish, executor = self._ports.publishers["next/joint_states"].publish, self.executor
+        publish, executor = self._node_io.publishers["next/joint_states"].publish, self.executor
         for stamp, stalled in Cycles():
             with self._lock:
                 now = time.monotonic_ns()
@@ -283,7 +283,7 @@ class ExecutorNode:
         # where a stop leaves the arm is written down here
         self.side_effects.run("the engagement", self.keep_engagement)
         with self._lock:
-            self.executor.under_review.scene_alive = self._ports.connections("scene") > 0
+            self.executor.under_review.scene_alive = self._node_io.connections("scene") > 0
         self._approval.look_for_obstacle()
         self._disk.write("an approval", self._approve_by_itself)
 
@@ -308,7 +308,7 @@ class ExecutorNode:
 
     def _publish(self, topic: str, message: genpy.Message) -> None:
         message.header.stamp = rospy.Time.now()
-        self._ports.publishers[topic].publish(message)
+        self._node_io.publishers[topic].publish(message)
 
     def _publish_verdict(self, verdict: Verdict) -> None:
         reason = f": {verdict.reason}" if verdict.reason else ""
@@ -334,7 +334,7 @@ class ExecutorNode:
         for order in orders:
             self._publish("tool_command", order_to_msg(order))
         if report is not None:
-            publish = self._ports.publishers["execution"].publish
+            publish = self._node_io.publishers["execution"].publish
             run("the topic execution", lambda: publish(to_msg(report, msg.Execution)))
         for event in events:
             if not (isinstance(event, Verdict) and event.verdict == REJECTED):
@@ -345,7 +345,7 @@ class ExecutorNode:
         for warns, line in lines:
             run("the log", self._log_queue.add, rospy.logwarn if warns else rospy.loginfo, "%s", line)
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         executor, log = self.executor, self._log.file
         values = {
@@ -355,14 +355,14 @@ class ExecutorNode:
             "speed limit because": self._limit.reason,
             "records": log.lines,
             "records lost": log.lost,
-        } | self.side_effects.report()
+        } | self.side_effects.status_fields()
         if problem := self._disk.problem:
-            return Report(ERROR, problem, values)
+            return Diagnosis(ERROR, problem, values)
         with self._lock:
             engaged = executor.engagement.sentence
         if failed := engaged or self.side_effects.sentence:
-            return Report(WARN, failed, values)
-        return Report(WARN if self._news.waits else OK, f"{executor.state.name}: {executor.reason}", values)
+            return Diagnosis(WARN, failed, values)
+        return Diagnosis(WARN if self._news.waits else OK, f"{executor.state.name}: {executor.reason}", values)
 
 
 def check(settings: Settings, robot: RobotModel, *_: object) -> None:
@@ -375,7 +375,7 @@ def check(settings: Settings, robot: RobotModel, *_: object) -> None:
 
 
 INTERFACE = shell.Interface(
-    report=ExecutorNode.report,
+    diagnose=ExecutorNode.diagnose,
     publishes=(
         shell.PosePublication("next/joint_states"),
         shell.Publication("execution", msg.Execution, queue_size=10, latch=True),
@@ -384,7 +384,7 @@ INTERFACE = shell.Interface(
         shell.Publication("tool_command", msg.ToolCommand, queue_size=50, tcp_nodelay=True),
         shell.Publication("engagement", msg.Engagement, queue_size=5, latch=True),
     ),
-    hears=(
+    subscribes=(
         shell.PoseSubscription("twin/joint_states", ExecutorNode.on_twin, queue_size=1, pause=TWIN_PAUSE),
         shell.Subscription("sync", msg.Sync, ExecutorNode.on_sync, queue_size=50, tcp_nodelay=True),
         shell.Subscription("scene", msg.Scene, ExecutorNode.on_scene, queue_size=5),
@@ -419,7 +419,7 @@ INTERFACE = shell.Interface(
         shell.Served("resume", Trigger, ExecutorNode.on_resume, "resume"),
         shell.Served("~act_as_seen", srv.ActAsSeen, ExecutorNode.on_act_as_seen, lambda asked: asked.act),
     ),
-    every=(shell.Every(lambda _settings: BACKGROUND_PERIOD, ExecutorNode.do_background_work),),
+    timers=(shell.NodeTimer(lambda _settings: BACKGROUND_PERIOD, ExecutorNode.do_background_work),),
 )  # fmt: skip
 NODE = shell.NodeShell("executor", Settings, ExecutorNode, INTERFACE, check, fast=True)
 main = NODE.run

@@ -20,7 +20,7 @@ from construction_twin.core.reports import SessionRequest
 from construction_twin.core.sentences import Sentence, both
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.link.bridge import PLC_HALTED, Asked, Bridge, JointStrings
+from construction_twin.link.bridge import PLC_HALTED, Bridge, JointStrings, PendingRequest
 from construction_twin.link.gateway_status import parse_answer, parse_status
 from construction_twin.link.observations import LinkState
 from construction_twin.mqtt.client import Broker, make_client, unique_id
@@ -33,9 +33,9 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.tool import tool_report_to_msg
 from construction_twin.ros.shared import node_shell as shell
-from construction_twin.ros.shared.diagnostics import OK, WARN, DeferredLog, Report
+from construction_twin.ros.shared.diagnostics import OK, WARN, DeferredLog, Diagnosis
 from construction_twin.ros.shared.gateway_config import config_of_link
-from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
+from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, connection_log
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.stop_memory import StopMemory
 from construction_twin.ros.transport.joint_stream import now_ns
@@ -71,22 +71,23 @@ class MqttBridge:
         codec: JointStringCodec,
         broker: Broker,
         client: FastClient,
-        ports: shell.Ports,
+        node_io: shell.NodeIO,
     ):
         bare, new_id = settings.gateway_kind == PLC, lambda: uuid.uuid4().hex
         self._strings = JointStrings(codec, config.properties, bare, settings.max_state_age)
         # not private parameters: those hold settings, and these came about while a bridge ran
-        mirrors, waits = ports.parameters[MIRROR_MODE] is True, str(ports.parameters[WAITS])
+        mirrors, waits = node_io.parameters[MIRROR_MODE] is True, str(node_io.parameters[WAITS])
         self._kept = [
-            StopMemory(said, ports.keeper(name), name) for said, name in ((mirrors, MIRROR_MODE), (waits, WAITS))
+            StopMemory(said, node_io.parameter_writer(name), name)
+            for said, name in ((mirrors, MIRROR_MODE), (waits, WAITS))
         ]
         self._bridge = Bridge(config, bare, settings.reset_timeout, self._strings, new_id, mirrors, waits)
         self._supervisor = self._bridge.supervisor
         self._lock = threading.Lock()
         # orders what is published on `tool`: it comes from several threads
         self._tool_lock = threading.Lock()
-        self._topics, self._broker, self._client, self._connection = topics, broker, client, report_of(broker)
-        self._publishers, self._diagnostics = ports.publishers, ports.diagnostics
+        self._topics, self._broker, self._client, self._connection = topics, broker, client, connection_log(broker)
+        self._publishers, self._diagnostics = node_io.publishers, node_io.diagnostics
         self._physical, self._feedback = (self._publishers[f"physical/{name}"] for name in ("joint_states", "feedback"))
         self._side_effects, self._log = SideEffects(), DeferredLog()
 
@@ -249,7 +250,7 @@ class MqttBridge:
         self._log.add(rospy.loginfo, "%s asked for by %s: %s", verb, person or "a service", asked.lifts)
         return Outcome(*self._wait(asked))
 
-    def _wait(self, asked: Asked) -> tuple[bool, str]:
+    def _wait(self, asked: PendingRequest) -> tuple[bool, str]:
         while True:
             ending = rospy.is_shutdown()
             with self._lock:
@@ -293,7 +294,7 @@ class MqttBridge:
             is_due, has_changed = self._bridge.news(now, connection)
             if not is_due:
                 return
-            report = self._bridge.report(connection, refused, rospy.Time.now().to_nsec())
+            report = self._bridge.state_report(connection, refused, rospy.Time.now().to_nsec())
             status = self._bridge.status()
         self._publishers["link"].publish(to_msg(report, Link))
         if has_changed:
@@ -307,33 +308,33 @@ class MqttBridge:
             if report is not None:
                 self._publishers["tool"].publish(tool_report_to_msg(report, rospy.Time.now()))
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         with self._lock:
             state = self._supervisor.state
             sentence = f"{state.name}: {self._bridge.reason(self._connection.sentence)}"
-            values = self._bridge.values() | self._side_effects.report()
+            values = self._bridge.values() | self._side_effects.status_fields()
         problems = [memory.problem for memory in self._kept]
         if problem := next(filter(None, [*problems, self._side_effects.sentence]), ""):
-            return Report(WARN, f"{sentence}; {problem}", values)
-        return Report(OK if state in (LinkState.ARMED, LinkState.MIRROR) else WARN, sentence, values)
+            return Diagnosis(WARN, f"{sentence}; {problem}", values)
+        return Diagnosis(OK if state in (LinkState.ARMED, LinkState.MIRROR) else WARN, sentence, values)
 
 
-def start(settings: Settings, robot: RobotModel, ports: shell.Ports) -> MqttBridge:
+def start(settings: Settings, robot: RobotModel, node_io: shell.NodeIO) -> MqttBridge:
     """Return the bridge, connecting to the broker."""
-    config = config_of_link(robot, ports.parameters["gateway"], settings.gateway_kind != PLC)
+    config = config_of_link(robot, node_io.parameters["gateway"], settings.gateway_kind != PLC)
     broker, topics = broker_of(settings), Topics(settings.prefix, robot.name)
     client = make_client(broker, unique_id(robot.name, "bridge"), topics.bridge_status, direct=True)
-    bridge = MqttBridge(settings, topics, config, JointStringCodec.of(robot, config.decimals), broker, client, ports)
+    bridge = MqttBridge(settings, topics, config, JointStringCodec.of(robot, config.decimals), broker, client, node_io)
     bridge.connect()
     return bridge
 
 
 INTERFACE = shell.Interface(
-    report=MqttBridge.report,
+    diagnose=MqttBridge.diagnose,
     parameters=(
-        shell.SharedParameter(MIRROR_MODE, False, kept=True),
-        shell.SharedParameter(WAITS, "", kept=True),
+        shell.SharedParameter(MIRROR_MODE, False, written=True),
+        shell.SharedParameter(WAITS, "", written=True),
         shell.SharedParameter("gateway"),
     ),
     publishes=(
@@ -343,7 +344,7 @@ INTERFACE = shell.Interface(
         shell.Publication("tool", ToolState, queue_size=50, latch=True),
         shell.Publication("session_request", SessionRequestMessage, queue_size=10),
     ),
-    hears=(
+    subscribes=(
         shell.PoseSubscription("command/joint_states", MqttBridge.on_command),
         shell.Subscription("speed_limit_in_force", SpeedLimitInForce, MqttBridge.on_speed_limit, queue_size=5),
         shell.Subscription("tool_command", ToolCommand, MqttBridge.on_tool_command, queue_size=50, tcp_nodelay=True),
@@ -358,7 +359,7 @@ INTERFACE = shell.Interface(
         shell.Served("halt", Trigger, MqttBridge.on_halt),
         shell.Served("mirror", SetBool, MqttBridge.on_mirror),
     ),
-    every=(shell.Every(lambda _settings: LOG_PERIOD, MqttBridge.write_log),),
+    timers=(shell.NodeTimer(lambda _settings: LOG_PERIOD, MqttBridge.write_log),),
 )
 
 

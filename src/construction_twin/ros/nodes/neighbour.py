@@ -27,8 +27,8 @@ from construction_twin.ros.shared.arm_listener import (
     listen_to_other_arm,
     plan_rows,
 )
-from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.transport.publisher import Sink
+from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
+from construction_twin.ros.transport.publisher import AnyPublisher
 from construction_twin.scene.collision_world import CollisionWorld, Contact
 from construction_twin.scene.neighbour import Obstacle, key_rows
 from construction_twin.scene.objects import Scene
@@ -60,13 +60,15 @@ def first_meeting(
 class NeighbourNode:
     """Two arms' topics in, verdicts on a plan of ours out."""
 
-    def __init__(self, own: ArmListener, other: OtherArm, world: CollisionWorld, padding: float, conflict: Sink):
+    def __init__(
+        self, own: ArmListener, other: OtherArm, world: CollisionWorld, padding: float, conflict: AnyPublisher
+    ):
         self._own = own
         self._other = other
         self._world = world
         self._padding = padding
         self._publisher = conflict
-        self._state = Report(WARN, "no plan yet")
+        self._state = Diagnosis(WARN, "no plan yet")
         self._checked: tuple[Plan, Scene, tuple[Obstacle, ...]] | None = None
         self._met: tuple[float, Contact] | None = None
         self._said: tuple[str, str] | None = None
@@ -85,7 +87,7 @@ class NeighbourNode:
             plan = self._own.newest if own is None else self._own.plan(own.plan_id)
         except NeighbourUnknownError as error:
             # whether it is played is not known: without a word nothing starts, and nothing stops
-            self._state = Report(WARN, str(error))
+            self._state = Diagnosis(WARN, str(error))
             return
         if plan is None:
             return
@@ -95,7 +97,7 @@ class NeighbourNode:
             problem = str(error)
         self._publish(plan, problem)
         sentence = problem or "its path is free"
-        self._state = Report(WARN if problem else OK, sentence)
+        self._state = Diagnosis(WARN if problem else OK, sentence)
         if self._said != (plan.id, problem):
             self._said = plan.id, problem
             (rospy.logwarn if problem else rospy.loginfo)("plan %s: %s", plan.id, sentence)
@@ -141,23 +143,23 @@ class NeighbourNode:
             contact=too_close,
         )
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         return self._state
 
 
-def start(settings: NeighbourSettings, robot: RobotModel, ports: shell.Ports) -> NeighbourNode:
+def start(settings: NeighbourSettings, robot: RobotModel, node_io: shell.NodeIO) -> NeighbourNode:
     """Return the watch with its parameters and topics."""
-    refuse = ports.diagnostics.refuse
+    refuse = node_io.diagnostics.refuse
     await_robot(settings.name)
     other = listen_to_other_arm(robot.name, settings, refuse)
     own = ArmListener(robot, rosgraph.names.namespace(rospy.get_namespace()), refuse)
     world = CollisionWorld(robot, Scene(()), SelfCollision({}, ""))
-    return NeighbourNode(own, other, world, settings.padding, ports.publishers["conflict"])
+    return NeighbourNode(own, other, world, settings.padding, node_io.publishers["conflict"])
 
 
 INTERFACE = shell.Interface(
-    report=NeighbourNode.report,
+    diagnose=NeighbourNode.diagnose,
     publishes=(shell.Publication("conflict", ConflictMsg, queue_size=10),),
     listeners=(*ARM_TOPICS, *ARM_POSES),
 )

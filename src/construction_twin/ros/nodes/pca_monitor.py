@@ -30,7 +30,7 @@ from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.shared import node_shell as shell
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, DeferredLog, Report
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, DeferredLog, Diagnosis
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import NodeSettings, robot_file, ros_home, settings_of
 from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
@@ -85,24 +85,26 @@ class SpeedLimitService:
     Beside the gate, in threads of its own. A raise of people is on the disk, in `path`, before it acts; a lower limit acts at once.
     """
 
-    def __init__(self, path: Path | None, ports: shell.Ports):
+    def __init__(self, path: Path | None, node_io: shell.NodeIO):
         # the stricter of what executor and gateway are told holds here; without an arm there is no gateway
-        told = {name: ports.parameters[name] for name in ("executor", "gateway") if ports.parameters[name] is not None}
+        told = {
+            name: node_io.parameters[name] for name in ("executor", "gateway") if node_io.parameters[name] is not None
+        }
         rules = [settings_of(Rules, given, rospy.resolve_name(name)) for name, given in told.items()]
         deadline = min(each.speed_limit_deadline for each in rules)
         silent = min(each.speed_limit_silent for each in rules)
         program = SpeedLimit(deadline, silent, rules[0].speed_limit_required)
-        fraction, _, name = ports.parameters[PROGRAM].partition(" ")
+        fraction, _, name = node_io.parameters[PROGRAM].partition(" ")
         if name:
             # a process before this one has heard it: it is silent until it is heard again
             program.hear(float(fraction), name, time.monotonic_ns() - round(2e9 * deadline) - 1)
-        self._memory = StopMemory(ports.parameters[PROGRAM], ports.keeper(PROGRAM), PROGRAM)
+        self._memory = StopMemory(node_io.parameters[PROGRAM], node_io.parameter_writer(PROGRAM), PROGRAM)
         people, problem = read_people(path) if path else (NOBODY, "")
         self._limits = SpeedLimits(program, people, present(), problem)
         # what the file holds, and a lock that is held while the disk is waited for
         self._path, self._kept, self._file_problem, self._file_lock = path, people, "", threading.Lock()
-        self._in_force, self._changes = (ports.publishers[name] for name in ("speed_limit_in_force", "speed_change"))
-        self._refuse = ports.diagnostics.refuse
+        self._in_force, self._changes = (node_io.publishers[name] for name in ("speed_limit_in_force", "speed_change"))
+        self._refuse = node_io.diagnostics.refuse
         # also orders what is published: the last message is what was decided last
         self._lock = threading.Lock()
 
@@ -121,7 +123,7 @@ class SpeedLimitService:
         try:
             if request.limit > limits.people.limit:
                 with self._file_lock:
-                    self._write(limits.asked(*given, present(), now_ns()))
+                    self._write(limits.requested_change(*given, present(), now_ns()))
                     if self._file_problem:
                         raise PayloadError("file", f"the speed limit of people is not raised: {self._file_problem}")
             with self._lock:
@@ -158,42 +160,42 @@ class SpeedLimitService:
         self._memory.keep(memory, time.monotonic_ns())
 
     def _publish(self) -> None:
-        if report := self._limits.report(time.monotonic_ns()):
+        if report := self._limits.state_report(time.monotonic_ns()):
             self._in_force.publish(to_msg(replace(report, stamp=now_ns()), msg.SpeedLimitInForce))
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         program = self._limits.program
         with self._lock:
-            said = self._limits.report(time.monotonic_ns())
+            said = self._limits.state_report(time.monotonic_ns())
         limit, reason = (said.limit, said.reason) if said else (1.0, program.reason)
         values = {"speed limit": f"{limit:.3f}", "speed limit because": reason}
         slow = program.state in (LimitState.SILENT, LimitState.MISSING)
         problem = self._file_problem or self._memory.problem
         level = ERROR if problem or self._limits.problem else WARN if slow else OK
-        return Report(level, problem or f"speed limit {limit:g}: {reason}", values)
+        return Diagnosis(level, problem or f"speed limit {limit:g}: {reason}", values)
 
 
 class PcaMonitorNode:
     """ROS around a Monitor, and beside it the speed limit, which the gate knows nothing of."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
         # without an arm there is no broker, and nobody could raise what was set before
         has = shell.has_arm(settings)
         kept = ros_home() / "construction_twin" / "speed_limits" / f"{robot.name}.json" if has else None
-        stopped_in, now = ports.parameters[PARAMETER] if has else "", time.monotonic_ns()
-        self._names, self._publishers, self._diagnostics = robot.joint_names, ports.publishers, ports.diagnostics
-        self._command = ports.publishers["command/joint_states"]
+        stopped_in, now = node_io.parameters[PARAMETER] if has else "", time.monotonic_ns()
+        self._names, self._publishers, self._diagnostics = robot.joint_names, node_io.publishers, node_io.diagnostics
+        self._command = node_io.publishers["command/joint_states"]
         # without a model of the arm's servos nothing is expected
-        self._expected = ports.publishers.get("expected/joint_states")
+        self._expected = node_io.publishers.get("expected/joint_states")
         self._gate = make_gate(settings, robot, now)
         self._monitor = Monitor(self._gate, robot.joint_names, stopped_in, now)
         transitions = robot_file(settings.transition_file, robot.name)
         rospy.loginfo("transitions are recorded in %s", transitions)
         self._transitions = TransitionLog(transitions, robot.joint_names)
         self._plan_to_joints = rospy.ServiceProxy("plan_to_joints", srv.PlanToJoints)
-        self._stopped = StopMemory(stopped_in, ports.keeper(PARAMETER))
-        self.speed = SpeedLimitService(kept, ports)
+        self._stopped = StopMemory(stopped_in, node_io.parameter_writer(PARAMETER))
+        self.speed = SpeedLimitService(kept, node_io)
         self._lock = threading.Lock()
         self._heard = 0
         #: As it was told last; empty: not yet.
@@ -365,14 +367,14 @@ class PcaMonitorNode:
         warns = rospy.logwarn if change.target in _WARNED else rospy.loginfo
         self._said.add(rospy.logerr if change.target in _SERIOUS else warns, "%s", change)
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
-        gate, speed, problem = self._gate, self.speed.report(), self._transitions.problem or self._stopped.problem
+        gate, speed, problem = self._gate, self.speed.diagnose(), self._transitions.problem or self._stopped.problem
         level = ERROR if gate.state in _SERIOUS else OK if gate.state is SyncState.IN_SYNC else WARN
         limited = speed.sentence if speed.level != OK else ""
         sentence = "; ".join(filter(None, (f"{gate.state.name}: {gate.reason}", problem, limited)))
         values = {**self._monitor.values(), **speed.values, **self._transitions.values()}
-        return Report(ERROR if problem else max(level, speed.level), sentence, values)
+        return Diagnosis(ERROR if problem else max(level, speed.level), sentence, values)
 
 
 def make_gate(settings: Settings, robot: RobotModel, now: int) -> Gate:
@@ -396,12 +398,12 @@ def check(settings: Settings, robot: RobotModel, shared: shell.Shared) -> None:
 
 
 INTERFACE = shell.Interface(
-    report=PcaMonitorNode.report,
+    diagnose=PcaMonitorNode.diagnose,
     parameters=(
-        shell.SharedParameter(PARAMETER, "", kept=True),
+        shell.SharedParameter(PARAMETER, "", written=True),
         shell.SharedParameter("executor", {}),
         shell.SharedParameter("gateway"),
-        shell.SharedParameter(PROGRAM, "", kept=True),
+        shell.SharedParameter(PROGRAM, "", written=True),
     ),
     publishes=(
         shell.PosePublication("command/joint_states"),
@@ -412,7 +414,7 @@ INTERFACE = shell.Interface(
         shell.Publication("speed_limit_in_force", msg.SpeedLimitInForce, queue_size=5, latch=True, tcp_nodelay=True),
         shell.Publication("speed_change", msg.SpeedChange, queue_size=50),
     ),
-    hears=(
+    subscribes=(
         shell.PoseSubscription("twin/joint_states", PcaMonitorNode.on_twin),
         shell.PoseSubscription("physical/feedback", PcaMonitorNode.on_feedback, FEEDBACK_KEPT, msg.Feedback),
         shell.PoseSubscription("next/joint_states", PcaMonitorNode.on_next, SETPOINTS_KEPT),
@@ -431,11 +433,11 @@ INTERFACE = shell.Interface(
         shell.Served("configure_gate", srv.ConfigureGate, PcaMonitorNode.on_configure, reason="configure_gate"),
         shell.Served("limit_speed", srv.LimitSpeed, lambda node, asked: node.speed.on_limit_speed(asked)),
     ),
-    every=(
-        shell.Every(lambda _settings: 1 / SYNC_RATE, PcaMonitorNode.watch),
-        shell.Every(lambda _settings: WRITE_PERIOD, PcaMonitorNode.write_transitions),
-        shell.Every(lambda _settings: LIMIT_PERIOD, lambda node: node.speed.repeat()),
-        shell.Every(lambda _settings: LIMIT_AGAIN, lambda node: node.speed.write()),
+    timers=(
+        shell.NodeTimer(lambda _settings: 1 / SYNC_RATE, PcaMonitorNode.watch),
+        shell.NodeTimer(lambda _settings: WRITE_PERIOD, PcaMonitorNode.write_transitions),
+        shell.NodeTimer(lambda _settings: LIMIT_PERIOD, lambda node: node.speed.repeat()),
+        shell.NodeTimer(lambda _settings: LIMIT_AGAIN, lambda node: node.speed.write()),
     ),
 )
 NODE = shell.NodeShell("pca_monitor", Settings, PcaMonitorNode, INTERFACE, check, fast=True)

@@ -42,7 +42,7 @@ from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.arm_listener import OtherArm, await_robot, listen_to_other_arm, neighbour_settings
-from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.subscriber import caller_of
@@ -118,7 +118,7 @@ class Settings(PlannerSettings):
 class PlannerNode:
     """ROS around a PlanningPipeline: requests by service and topic in, plans out."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
         self._robot = robot
         self._chain = Chain(self._robot)
         self._beside = neighbour_settings()
@@ -136,16 +136,16 @@ class PlannerNode:
         self._pipeline = PlanningPipeline(robot, *given)
         self._plans = 0
         self._last = "no plan asked for yet"
-        self._diagnostics = ports.diagnostics
+        self._diagnostics = node_io.diagnostics
         self._other: OtherArm | None = None
         if self._beside is not None:
             await_robot(self._beside.name)
             self._other = listen_to_other_arm(self._robot.name, self._beside, self._diagnostics.refuse)
         self._frames = listen_to_frames(robot, settings.tf_prefix, TF_TIMEOUT, self._diagnostics.refuse)
-        self._publisher, self._outcome_publisher = ports.publishers["plan"], ports.publishers["plan_outcome"]
-        self._twin = ports.poses["twin/joint_states"]
+        self._publisher, self._outcome_publisher = node_io.publishers["plan"], node_io.publishers["plan_outcome"]
+        self._twin = node_io.poses["twin/joint_states"]
         self._engagement: msg.Engagement | None = None
-        self._connections = functools.partial(ports.connections, "scene")
+        self._connections = functools.partial(node_io.connections, "scene")
         self._requests = PlanRequests(self._await_surroundings, self._publish)
 
     # -- the other arm
@@ -325,21 +325,21 @@ class PlannerNode:
     def _present_pose(self) -> tuple[float, ...]:
         return self._twin.pose(MAX_POSE_AGE, MAX_POSE_AGE)
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         scene = self._pipeline.scene
         values = {"plans": self._plans, "repeated": self._requests.repeated, "scene": scene.hash if scene else "none"}
-        return Report(OK if scene is not None else WARN, self._last, values)
+        return Diagnosis(OK if scene is not None else WARN, self._last, values)
 
 
 INTERFACE = shell.Interface(
-    report=PlannerNode.report,
+    diagnose=PlannerNode.diagnose,
     publishes=(
         shell.Publication("plan", msg.Plan, queue_size=1, latch=True),
         shell.Publication("plan_outcome", msg.PlanOutcome, queue_size=1, latch=True),
     ),
-    reads=(shell.NewestPose("twin/joint_states"),),
-    hears=(
+    polls=(shell.PolledPose("twin/joint_states"),),
+    subscribes=(
         shell.Subscription("engagement", msg.Engagement, PlannerNode.on_engagement, queue_size=1),
         shell.Subscription("review", msg.Review, PlannerNode.on_review, queue_size=10),
         shell.Subscription("scene", msg.Scene, PlannerNode.on_scene, queue_size=1),

@@ -35,7 +35,7 @@ from construction_twin.robot.motion_errors import KinematicsError, SceneError
 from construction_twin.ros.messages.convert import pose_from_msg, pose_to_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
 from construction_twin.ros.shared import node_shell as shell
-from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
@@ -160,7 +160,7 @@ def _text(text: str, at: Point, scale: float) -> Marker:
 class ToolMarkerNode:
     """Interactive marker `tool_marker`, markers `tool_marker/verdict`; its menu calls the services that an operator would."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
         self._settings = settings
         self._robot = robot
         self._chain = Chain(self._robot)
@@ -181,14 +181,14 @@ class ToolMarkerNode:
         self._drawn: MarkerArray | None = None
         self._finished = ""
         namespace = rospy.get_namespace()
-        self._diagnostics = ports.diagnostics
+        self._diagnostics = node_io.diagnostics
         self._listener = RobotListener(namespace, self._robot, refuse=self._diagnostics.refuse)
         client = OperatorClient(namespace, SERVICE_TIMEOUT, "tool_marker")
         reviewer = settings.reviewer or getpass.getuser()
         self._menu = ToolMarkerMenu(client, self._listener.under_review, robot.home, reviewer, self._say)
-        self._verdicts = ports.publishers["tool_marker/verdict"]
+        self._verdicts = node_io.publishers["tool_marker/verdict"]
         self._server = MarkerServer("tool_marker", self._diagnostics.refuse)
-        self._twin = ports.poses["twin/joint_states"]
+        self._twin = node_io.poses["twin/joint_states"]
 
     def run(self) -> None:
         """Judge the newest pose, or follow the tool, until shutdown."""
@@ -324,20 +324,22 @@ class ToolMarkerNode:
             self._verdicts.publish(markers)
         self._menu.show("" if plan is None else plan.id)
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         verdict = self._verdict
         if verdict is None:
-            return Report(WARN, self._problem)
+            return Diagnosis(WARN, self._problem)
         free = "free" if verdict.reach is Reach.FREE else "not free"
-        return Report(OK, f"{'follows the tool' if self._menu.goal is None else f'goal is {free}'}: {verdict.sentence}")
+        return Diagnosis(
+            OK, f"{'follows the tool' if self._menu.goal is None else f'goal is {free}'}: {verdict.sentence}"
+        )
 
 
 INTERFACE = shell.Interface(
-    report=ToolMarkerNode.report,
+    diagnose=ToolMarkerNode.diagnose,
     publishes=(shell.Publication("tool_marker/verdict", MarkerArray, queue_size=2, latch=True),),
-    reads=(shell.NewestPose("twin/joint_states"),),
-    hears=(
+    polls=(shell.PolledPose("twin/joint_states"),),
+    subscribes=(
         shell.Subscription("scene", SceneMsg, ToolMarkerNode.on_scene, queue_size=1),
         shell.Subscription("tool_marker/feedback", InteractiveMarkerFeedback, ToolMarkerNode.on_click, queue_size=50),
     ),

@@ -17,7 +17,7 @@ from construction_twin.msg import Link, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared import node_shell as shell
-from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
 from construction_twin.ros.shared.params import NodeSettings
 from construction_twin.ros.transport.cycle import Cycles
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
@@ -53,18 +53,18 @@ def is_in_gazebo(settings: Settings) -> bool:
 class VirtualRobotNode:
     """ROS around a VirtualRobot and its TwinClock."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
         self._robot = VirtualRobot(robot.home if settings.arm == "none" else None, robot.linear)
-        self._limits, self._names, self._diagnostics = MotionLimits.of(robot), robot.joint_names, ports.diagnostics
-        self._publishers, self._twin = ports.publishers, ports.publishers["twin/joint_states"]
-        self._commanded = ports.publishers.get("twin/commanded")
+        self._limits, self._names, self._diagnostics = MotionLimits.of(robot), robot.joint_names, node_io.diagnostics
+        self._publishers, self._twin = node_io.publishers, node_io.publishers["twin/joint_states"]
+        self._commanded = node_io.publishers.get("twin/commanded")
         self._gazebo = GazeboTwin() if is_in_gazebo(settings) else None
         self._backend: TwinBackend = self._gazebo or KinematicBackend()
         #: The twin with mass, of the extension physics.
         self._simulated: Any = None
         if is_simulated_here(settings):
             simulated = extension("physics.nodes.simulated_twin")
-            self._simulated = simulated.SimulatedTwin(settings, robot, ports.diagnostics.refuse)
+            self._simulated = simulated.SimulatedTwin(settings, robot, node_io.diagnostics.refuse)
             self._backend = self._simulated.twin
         self._effort_at = 0
         self._lock = threading.Lock()
@@ -185,31 +185,31 @@ class VirtualRobotNode:
                 self._robot.end_mirror()
         rospy.loginfo("follows the physical arm" if leads else "executes commands")
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         if self._robot.pose is None:
-            return Report(WARN, "waiting for the physical arm's pose")
+            return Diagnosis(WARN, "waiting for the physical arm's pose")
         said = "following the physical arm" if self._robot.mirrors else "executing"
         if self._gazebo is not None:
             problem = self._backend.problem
-            return Report(WARN if problem else OK, problem or said)
+            return Diagnosis(WARN if problem else OK, problem or said)
         if self._simulated is None:
-            return Report(OK, said)
+            return Diagnosis(OK, said)
         contacts = ", ".join(f"{first} + {second}" for first, second in self._backend.contacts)
         values = {"simulated scene": self._simulated.scene, "contacts": contacts or "none"}
         touches = contacts and f"the simulated arm touches: {contacts}"
         problem = self._simulated.scene_fault or self._backend.problem or touches
-        return Report(WARN, problem, values) if problem else Report(OK, said, values)
+        return Diagnosis(WARN, problem, values) if problem else Diagnosis(OK, said, values)
 
 
 INTERFACE = shell.Interface(
-    report=VirtualRobotNode.report,
+    diagnose=VirtualRobotNode.diagnose,
     publishes=(
         shell.PosePublication("twin/joint_states"),
         shell.PosePublication("twin/commanded", when=shell.has_mass),
         shell.Publication("twin/effort", JointState, queue_size=5, when=is_simulated_here),
     ),
-    hears=(
+    subscribes=(
         shell.PoseSubscription("command/joint_states", VirtualRobotNode.on_command),
         shell.Subscription("link", Link, VirtualRobotNode.on_link, queue_size=5, when=shell.has_arm),
         shell.PoseSubscription("physical/joint_states", VirtualRobotNode.on_physical, when=shell.has_arm),

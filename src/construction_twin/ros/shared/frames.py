@@ -97,7 +97,7 @@ class FrameListener:
         owner = self._owners.get(frame)
         if owner == caller:
             return ""
-        if owner is None or not any(subscriber.hears(owner) for subscriber in self._subscribers):
+        if owner is None or not any(subscriber.is_connected_to(owner) for subscriber in self._subscribers):
             self._owners[frame] = caller
             return ""
         return f"message from {who}; {owner} publishes the frame {frame} on /tf: end one of the two"

@@ -165,9 +165,9 @@ class JointPublisher:
         self._publisher.publish(self._message.sent(stamp, q, seq, command_stamp))
 
     @property
-    def is_heard(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Whether a subscriber is connected."""
-        return self._publisher.is_heard
+        return self._publisher.has_subscribers
 
 
 class JointSubscriber:
@@ -190,9 +190,9 @@ class JointSubscriber:
         self._pause = pause
         self._callback = callback
         message = PoseMessage(kind, names).received
-        self._subscriber = Subscriber(topic, message, self._take, refused, queue_size, tcp_nodelay=True)
+        self._subscriber = Subscriber(topic, message, self._on_message, refused, queue_size, tcp_nodelay=True)
 
-    def _take(self, message) -> None:
+    def _on_message(self, message) -> None:
         # of another subscriber of this process, which was first, it has the class
         content = getattr(message, "content", None) or self._read(message)
         if not all(map(math.isfinite, content[1])):

@@ -19,12 +19,12 @@ from construction_twin.core.errors import PayloadError
 from construction_twin.extensions.console.nodes.endpoint import REPEATED, Connection, Incoming, RequestQueue
 from construction_twin.link.requests import (
     AnswerRequest,
+    ButtonPress,
     LowerSpeed,
     NamelessVerdict,
     Override,
-    Pressed,
-    PressedAsSeen,
     RaiseSpeed,
+    StampedButtonPress,
     Verdict,
 )
 from construction_twin.mqtt import requests
@@ -90,7 +90,7 @@ class Acts:
         for kind in PRESSED:
             # each verb remembers its own: the thread of another one may not add to what is looked through
             act = partial(self._start, deque(maxlen=MEMORY)) if kind.starts else self._brake
-            serve(kind, PressedAsSeen if kind.starts else Pressed, act, self.queues[kind.name])
+            serve(kind, StampedButtonPress if kind.starts else ButtonPress, act, self.queues[kind.name])
         serve(ANSWER, AnswerRequest, self._give_answer, self.queues["answer"])
         serve(LOWER_SPEED, LowerSpeed, self._set_speed, self.queues[LOWER_SPEED.name])
         serve(RAISE_SPEED, RaiseSpeed, self._set_speed, self.queues[RAISE_SPEED.name])
@@ -123,7 +123,7 @@ class Acts:
         # over the connection that is open, as a stop
         return Outcome.of(call_twice(self._services.reject, EXECUTOR, **fields))
 
-    def _start(self, known: deque[tuple[str, str]], wanted: Pressed, request: Incoming) -> Outcome:
+    def _start(self, known: deque[tuple[str, str]], wanted: ButtonPress, request: Incoming) -> Outcome:
         kind, names = request.kind, (request.account, wanted.id)
         if names in known:
             # it must not start again what was paused since
@@ -133,7 +133,7 @@ class Acts:
         fields = {"act": kind.name, "person": request.account, "moment": wanted.moment}
         return Outcome.of(call(self._services.pressed[kind.name], _PROGRAMS[kind.by], **fields))
 
-    def _brake(self, _wanted: Pressed, request: Incoming) -> Outcome:
+    def _brake(self, _wanted: ButtonPress, request: Incoming) -> Outcome:
         kind, fields = request.kind, {"act": request.kind.name, "person": request.account}
         return Outcome.of(call_twice(self._services.pressed[kind.name], _PROGRAMS[kind.by], **fields))
 
@@ -153,12 +153,12 @@ class _Approvals(RequestQueue):
         super().__init__(WAITING)
         self._rejections = rejections
 
-    def take(self, request: Incoming) -> None:
+    def enqueue(self, request: Incoming) -> None:
         """Let a verdict wait in its queue."""
         if request.asked.verdict == "rejected":
-            self._rejections.take(request)
+            self._rejections.enqueue(request)
         else:
-            super().take(request)
+            super().enqueue(request)
 
 
 def _run_queue(queue: RequestQueue) -> None:

@@ -50,10 +50,10 @@ class ShownPlan:
         self._board, self._rehearsals = PlanBoard(), PlanBoard()
         self.rehearsal: RehearsalReport | None = None
         self._view: PlanView | None = None
-        self._gone = ""
+        self._disconnected_plan = ""
         self._lock = threading.Lock()
         self._session: str | None = None
-        self._seen = b""
+        self._received = b""
         self._checked_at = 0.0
 
     @property
@@ -88,7 +88,7 @@ class ShownPlan:
     def on_caller(self, message: PlanCaller) -> None:
         """Say of the plan under review whether the program that asked for it is still connected."""
         with self._lock:
-            self._gone = "" if message.connected else message.plan_id
+            self._disconnected_plan = "" if message.connected else message.plan_id
             if self._view is None or self._view.id != message.plan_id:
                 return
             self._show()
@@ -98,7 +98,7 @@ class ShownPlan:
         """Put the newest plan on the board, unless it was decided."""
         view = self._view
         assert view is not None  # there is a plan
-        if view.id == self._gone:
+        if view.id == self._disconnected_plan:
             # in the one text about who asked that every screen shows
             view = replace(view, source=f"{view.source} (connected no more: nobody waits for the result)")
         self._board.on_plan(view.id, view.to_json(PATH_POINTS))
@@ -125,7 +125,7 @@ class ShownPlan:
 
     def first(self) -> tuple[str, bytes, bool]:
         """Return what a new connection begins with: topic, payload, retain flag."""
-        self._seen = b""
+        self._received = b""
         return self._topics.plan, self._board.payload, True
 
     def publish_rehearsal(self) -> None:
@@ -137,7 +137,7 @@ class ShownPlan:
 
     def on_own_plan(self, payload: bytes) -> None:
         """Note what the broker holds."""
-        self._seen = payload
+        self._received = payload
 
     def check(self) -> None:
         """Publish again when the broker holds something else: the late last will of a predecessor takes our plan away."""
@@ -145,10 +145,10 @@ class ShownPlan:
         if now - self._checked_at < CHECK_PERIOD:
             return
         self._checked_at = now
-        if self._seen != self._board.payload:
+        if self._received != self._board.payload:
             self._publish_plan()
 
-    def take_away(self) -> None:
+    def clear_retained(self) -> None:
         """Take both away: nobody hears a verdict any more."""
         for topic in (self._topics.plan, self._topics.rehearsal):
             self._connection.publish(topic, b"", retain=True)

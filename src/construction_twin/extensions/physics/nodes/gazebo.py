@@ -21,8 +21,8 @@ from construction_twin.extensions.physics.gazebo_world import check_serial, worl
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.diagnostics import ERROR, WARN, Report
-from construction_twin.ros.shared.node_shell import Interface, NodeShell, Ports, Shared, Subscription
+from construction_twin.ros.shared.diagnostics import ERROR, WARN, Diagnosis
+from construction_twin.ros.shared.node_shell import Interface, NodeIO, NodeShell, Shared, Subscription
 from construction_twin.ros.shared.params import PrivateSettings, ros_home
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene
@@ -46,12 +46,12 @@ class Settings(PrivateSettings):
 class GazeboNode:
     """A scene in; it becomes the server that simulates it."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: NodeIO):
         self._bodies, self._drives = RobotBodies(robot), read_drives(settings.drives, robot)
         self._priority, self._server = settings.realtime, find_gzserver(settings.gzserver)
         #: For the world and its meshes.
         self._folder = (ros_home() / "construction_twin" / f"{robot.name}_gazebo").absolute()
-        self._refuse = ports.diagnostics.refuse
+        self._refuse = node_io.diagnostics.refuse
         self._scenes: Queue[Scene] = Queue()
         self._fault = ""
 
@@ -88,11 +88,11 @@ class GazeboNode:
             rospy.loginfo("%s", remark)
         return path
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         if self._fault:
-            return Report(ERROR, self._fault)
-        return Report(WARN, "Gazebo is started when the scene is known")
+            return Diagnosis(ERROR, self._fault)
+        return Diagnosis(WARN, "Gazebo is started when the scene is known")
 
 
 def find_gzserver(words: str) -> list[str]:
@@ -120,7 +120,7 @@ def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
 
 
 INTERFACE = Interface(
-    report=GazeboNode.report, hears=(Subscription("scene", SceneMsg, GazeboNode.on_scene, queue_size=1),)
+    diagnose=GazeboNode.diagnose, subscribes=(Subscription("scene", SceneMsg, GazeboNode.on_scene, queue_size=1),)
 )
 NODE = NodeShell("gazebo", Settings, GazeboNode, INTERFACE, check)
 main = NODE.run

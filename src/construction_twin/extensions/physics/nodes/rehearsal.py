@@ -33,8 +33,8 @@ from construction_twin.robot.tool import read_tool, tool_hash
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.node_shell import Interface, NodeShell, Ports, Publication, Shared, Subscription
+from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
+from construction_twin.ros.shared.node_shell import Interface, NodeIO, NodeShell, Publication, Shared, Subscription
 from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.scene.objects import Scene
@@ -77,9 +77,9 @@ class _Job(NamedTuple):
 class RehearsalNode:
     """Plans and scenes in, what their rehearsal found out."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: NodeIO):
         self._time_limit = settings.time_limit
-        self._output, self._diagnostics = ports.publishers["rehearsal"], ports.diagnostics
+        self._output, self._diagnostics = node_io.publishers["rehearsal"], node_io.diagnostics
         self._process = Worker(PROGRAM)
         self._arm = {"robot": robot, "payload": tuple(settings.payload)} | {
             name: getattr(settings, name) for name in ("self_collision", "drives", "tool")
@@ -253,21 +253,21 @@ class RehearsalNode:
         why = "".join(f"; {reason}" for reason in report.reasons)
         said("rehearsal of plan %s: %s in %.2f s%s", report.plan_id, report.state, report.took, why)
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         if self._absent:
-            return Report(OK, self._absent)
+            return Diagnosis(OK, self._absent)
         last, running = self._last, self._running
         values: dict[str, object] = {"rehearsals": self._rehearsed, "broken": self._broken, "superseded": self._dropped}
         if running is not None:
-            return Report(OK, f"rehearses plan {running.plan.id}", values)
+            return Diagnosis(OK, f"rehearses plan {running.plan.id}", values)
         if last is None:
-            return Report(OK, "no plan was rehearsed yet", values)
+            return Diagnosis(OK, "no plan was rehearsed yet", values)
         values |= {"took": f"{last.took:.2f}", "engine": last.engine}
         if last.state == PASSED:
-            return Report(OK, f"plan {last.plan_id}: passed", values)
+            return Diagnosis(OK, f"plan {last.plan_id}: passed", values)
         level, word = (WARN, "the rehearsal broke off") if last.state == BROKEN else (OK, "failed")
-        return Report(level, f"plan {last.plan_id}: {word}: {first_reason(last.reasons)}", values)
+        return Diagnosis(level, f"plan {last.plan_id}: {word}: {first_reason(last.reasons)}", values)
 
 
 def _store_newest(kept: dict, key: str, value: object) -> None:
@@ -290,9 +290,9 @@ def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
 
 
 INTERFACE = Interface(
-    report=RehearsalNode.report,
+    diagnose=RehearsalNode.diagnose,
     publishes=(Publication("rehearsal", Rehearsal, queue_size=2, latch=True),),
-    hears=(
+    subscribes=(
         Subscription("scene", SceneMsg, RehearsalNode.on_scene, queue_size=5),
         Subscription("work/tasks", WorkTasks, RehearsalNode.on_tasks, queue_size=1),
         Subscription("plan", PlanMsg, RehearsalNode.on_plan, queue_size=2),

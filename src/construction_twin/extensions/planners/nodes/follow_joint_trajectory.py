@@ -48,11 +48,11 @@ from construction_twin.extensions.planners.trajectory_goals import (
 from construction_twin.msg import Execution, Feedback, PlanCaller, Review
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import BY_ACTION
-from construction_twin.ros.shared.diagnostics import OK, Report
+from construction_twin.ros.shared.diagnostics import OK, Diagnosis
 from construction_twin.ros.shared.node_shell import (
     Interface,
+    NodeIO,
     NodeShell,
-    Ports,
     PoseSubscription,
     Publication,
     Shared,
@@ -107,7 +107,7 @@ class Client:
 class FollowJointTrajectoryNode:
     """ROS around TrajectoryGoals."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: NodeIO):
         self._messages = control_messages()
         self._robot = robot
         self._retime = settings.retime
@@ -127,8 +127,8 @@ class FollowJointTrajectoryNode:
         self._goal_count = 0
         self._last = self._described = "no goal yet"
         self._caller: tuple[str, bool] | None = None
-        self._caller_publisher = ports.publishers["plan_caller"]
-        self._diagnostics = ports.diagnostics
+        self._caller_publisher = node_io.publishers["plan_caller"]
+        self._diagnostics = node_io.diagnostics
         self._names = settings.action_names
         self._servers: list[GoalServer] = []
 
@@ -347,10 +347,10 @@ class FollowJointTrajectoryNode:
             # the plan has not reached the executor yet, or its verdict, start or end has just crossed this, which will be heard of
             self._enqueue(self._goals.on_call_failed)
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         values = {"goals": self._goal_count, "last goal": self._last}
-        return Report(OK, self._described, values)
+        return Diagnosis(OK, self._described, values)
 
 
 def _key(server: GoalServer, handle: ServerGoalHandle) -> str:
@@ -358,9 +358,9 @@ def _key(server: GoalServer, handle: ServerGoalHandle) -> str:
 
 
 INTERFACE = Interface(
-    report=FollowJointTrajectoryNode.report,
+    diagnose=FollowJointTrajectoryNode.diagnose,
     publishes=(Publication("plan_caller", PlanCaller, queue_size=5, latch=True),),
-    hears=(
+    subscribes=(
         PoseSubscription("twin/joint_states", FollowJointTrajectoryNode.on_twin, queue_size=1),
         PoseSubscription("physical/feedback", FollowJointTrajectoryNode.on_feedback, 1, Feedback, when=has_arm),
         Subscription("review", Review, FollowJointTrajectoryNode.on_review, queue_size=20),

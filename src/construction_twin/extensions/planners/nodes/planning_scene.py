@@ -20,7 +20,7 @@ from construction_twin.extensions.planners.planner_scene import PlannerObject, P
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.robot.urdf import parse_urdf
-from construction_twin.ros.transport.publisher import Sink
+from construction_twin.ros.transport.publisher import AnyPublisher
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import SelfCollision
@@ -42,7 +42,7 @@ def moveit_types() -> MoveitTypes:
 class PlanningScenePublisher:
     """Publishes scenes as `moveit_msgs/PlanningScene`."""
 
-    def __init__(self, types: MoveitTypes, robot: RobotModel, self_collision: SelfCollision, publisher: Sink):
+    def __init__(self, types: MoveitTypes, robot: RobotModel, self_collision: SelfCollision, publisher: AnyPublisher):
         self._types = types
         self._bodies = RobotBodies(robot)
         self._self_collision = self_collision

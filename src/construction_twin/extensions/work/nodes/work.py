@@ -40,13 +40,13 @@ from construction_twin.ros.messages.convert import change_from_msg, plan_from_ms
 from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.scene_convert import object_to_msg, scene_from_msg, tf_frame
 from construction_twin.ros.messages.tool import tool_report_from_msg
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Diagnosis
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
 from construction_twin.ros.shared.node_shell import (
     Interface,
-    NewestPose,
+    NodeIO,
     NodeShell,
-    Ports,
+    PolledPose,
     Publication,
     Served,
     Shared,
@@ -110,17 +110,19 @@ class Settings(PrivateSettings):
 class WorkNode:
     """A `WorkProgress` in ROS; `progress` is None without a usable model and ledger."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
-        self._settings, self._robot, self._diagnostics = settings, robot, ports.diagnostics
-        self._planner, self._publishers = ports.parameters["planner"], ports.publishers
-        twin = ports.poses["twin/joint_states"]
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: NodeIO):
+        self._settings, self._robot, self._diagnostics = settings, robot, node_io.diagnostics
+        self._planner, self._publishers = node_io.parameters["planner"], node_io.publishers
+        twin = node_io.poses["twin/joint_states"]
         # without a physical arm the twin's pose counts as measured
-        self._twin, self._arm = twin, ports.poses.get("physical/joint_states", twin)
+        self._twin, self._arm = twin, node_io.poses.get("physical/joint_states", twin)
         self._frames = listen_to_frames(robot, settings.tf_prefix, settings.service_timeout, self._diagnostics.refuse)
         self._worker = Worker(WORKER)
         rospy.on_shutdown(self._worker.close)
         # what became of a plan is read in the record after a restart
-        self.received = Received(ports.connections, rospy.is_shutdown, robot_file(ports.parameters[RECORD], robot.name))
+        self.received = Received(
+            node_io.connections, rospy.is_shutdown, robot_file(node_io.parameters[RECORD], robot.name)
+        )
         self.progress: WorkProgress | None = None
         #: Why there is no work, and whether there will be none any more.
         self._fault: str = "the model is being read"
@@ -289,18 +291,18 @@ class WorkNode:
         markers = work_markers(progress.appearances(), triangles, base, tip)
         self._publishers["work/markers"].publish(MarkerArray(markers))
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state of the work for `/diagnostics`."""
         progress = self.progress
         if progress is None:
-            return Report(ERROR if self._broken else WARN, self._fault)
+            return Diagnosis(ERROR if self._broken else WARN, self._fault)
         with progress.lock:
             board = progress.board
             values: dict[str, object] = {state.value: len(board.states.in_state(state)) for state in TaskState}
             values["lines of the ledger"] = board.ledger.lines
             values["notes on the model"] = len(board.notes)
             asks = bool(board.states.in_state(TaskState.ASKS))
-            return Report(WARN if asks else OK, board.summary(time.time_ns()), values)
+            return Diagnosis(WARN if asks else OK, board.summary(time.time_ns()), values)
 
 
 # -- the building model in rviz
@@ -359,14 +361,14 @@ def _subscription(topic: str, kind: type, read: Callable[[Any], Any], queue_size
 
 
 INTERFACE = Interface(
-    report=WorkNode.report,
+    diagnose=WorkNode.diagnose,
     parameters=(SharedParameter("planner", {}), SharedParameter(RECORD, "")),
     publishes=(
         Publication("work/tasks", msg.WorkTasks, queue_size=5, latch=True),
         Publication("work/markers", MarkerArray, queue_size=2, latch=True),
     ),
-    reads=(NewestPose("twin/joint_states"), NewestPose("physical/joint_states", when=has_arm)),
-    hears=(
+    polls=(PolledPose("twin/joint_states"), PolledPose("physical/joint_states", when=has_arm)),
+    subscribes=(
         _subscription("engagement", msg.Engagement, functools.partial(from_msg, EngagementReport), 5),
         _subscription("execution", msg.Execution, functools.partial(from_msg, ExecutionReport), 50),
         _subscription(
