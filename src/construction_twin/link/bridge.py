@@ -134,13 +134,15 @@ class JointStrings:
         """Expect another gateway's states."""
         self._check.restart()
 
-    def command(self, q: tuple[float, ...], session: str, stamp: int) -> tuple[bytes, list[tuple[str, str]] | None]:
+    def encode_command(
+        self, q: tuple[float, ...], session: str, stamp: int
+    ) -> tuple[bytes, list[tuple[str, str]] | None]:
         """Return the next command [rad], or raise PayloadError."""
         payload = self._codec.encode(q)
         self.sent += 1
         return payload, CommandProperties(session, self.sent, stamp).pairs() if self.properties else None
 
-    def state(
+    def decode_state(
         self, payload: bytes, pairs: list[tuple[str, str]], retained: bool, now: int
     ) -> tuple[tuple[float, ...], StateProperties]:
         """Return the arm's pose [rad] and what stands beside it, or raise PayloadError."""

@@ -282,7 +282,7 @@ class LinkSupervisor:
             self._enter(LinkState.NEEDS_RESET, Sentence("{reason}; call reset", reason=_gateway_sentence(self.inputs)))
 
     def _choose_message(self, now: int) -> None:
-        """Decide which control message comes next."""
+        """Choose the next control message."""
         known = self.inputs
         if self._pending is not None and now - self._sent_at < RETRY:
             return

@@ -50,7 +50,7 @@ class ReportedState:
 
 @dataclass(frozen=True)
 class StartupInputs:
-    """What was heard so far; `controller`: why the arm may not move, as it says itself; "" for no reason."""
+    """What was received so far; `controller`: why the arm may not move, as it says itself; "" for no reason."""
 
     link: ReportedState | None = None
     sync: ReportedState | None = None
@@ -237,7 +237,7 @@ class StartUp:
 
 
 class _SideNotice:
-    """Tells what nothing waits for, but a person should know: when it has stood for `PATIENCE`, and that it does no more."""
+    """Logs what nothing waits for, but a person should know: when it has stood for `PATIENCE`, and that it does no more."""
 
     def __init__(self, gone: str):
         self._gone = gone

@@ -118,9 +118,9 @@ def segment_lines(plan: Plan, changes: Sequence[SceneChange] = ()) -> list[str]:
         return []
     lines = [f"segments   {len(plan.segments)}, each from rest to rest and in the scene that the one before leaves"]
     width = max(len(cut(segment.name)) for segment in plan.segments)
-    told = [*changes, *[None] * (len(plan.segments) - len(changes))]
+    segment_changes = [*changes, *[None] * (len(plan.segments) - len(changes))]
     begin = 0.0
-    for number, (segment, change) in enumerate(zip(plan.segments, told), 1):
+    for number, (segment, change) in enumerate(zip(plan.segments, segment_changes), 1):
         times = f"{begin:7.2f} to {segment.end:7.2f} s"
         words = segment_words(segment, change)
         lines.append(f"  {number:2d} {cut(segment.name):{width}} {times}  {'; '.join(words)}".rstrip())
@@ -212,9 +212,9 @@ def work_lines(execution: ExecutionReport | None) -> list[str]:
     return lines
 
 
-def controller_words(told: Mapping[str, str]) -> str:
+def controller_words(values: Mapping[str, str]) -> str:
     """Return what the controller says on its optional channels, e.g. ``T1, program ACTIVE, override 100 %``; "" for nothing."""
-    mode, program, override = (told.get(f"controller_{name}", "") for name in ("mode", "program", "override_percent"))
+    mode, program, override = (values.get(f"controller_{name}", "") for name in ("mode", "program", "override_percent"))
     words = [mode] if mode else []
     words += [f"program {program}"] if program else []
     words += [f"override {override} %"] if override else []

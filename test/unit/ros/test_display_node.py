@@ -34,7 +34,7 @@ from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.scene_convert import scene_to_msg
 from construction_twin.ros.nodes import display as module
 from construction_twin.ros.nodes.display import NODE, Settings
-from construction_twin.ros.shared.frames import PUBLISHERS, SHOWN
+from construction_twin.ros.shared.frames import DISPLAY_ONLY, PUBLISHERS
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
 
@@ -166,7 +166,7 @@ def test_each_tree_that_is_shown_is_made_of_one_stream_and_stands_in_the_world(m
     (static,) = bench.published["/tf_static"]
     roots = {each.child_frame_id.split("/")[1] for each in static.transforms if each.header.frame_id == "world"}
     # what is believed of tf is all but what is only shown
-    assert roots == {*PUBLISHERS, *streams} and roots - {*PUBLISHERS} <= {*SHOWN}
+    assert roots == {*PUBLISHERS, *streams} and roots - {*PUBLISHERS} <= {*DISPLAY_ONLY}
     assert {"physical/joint_states", "twin/effort", "expected/joint_states"} & bench.callbacks.keys() == {
         *streams.values()
     }

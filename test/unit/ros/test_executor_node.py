@@ -512,7 +512,7 @@ class WorkWorld(World):
             said = self.messages("execution")
             if self.edits and said and said[-1].wants_scene:
                 self.node.on_scene(Scene(hash=said[-1].expected_scene))
-            self.node.keep_engagement()
+            self.node.save_engagement()
 
     def messages(self, topic: str) -> list:
         """Return what was published on a topic."""
@@ -642,7 +642,7 @@ class TestEngaged:
         again = WorkWorld(monkeypatch, tmp_path)
         assert again.executor.engagement.engaged
         assert again.executor.engagement.present.reason == "the executor ended before the plan did"
-        again.node.keep_engagement()
+        again.node.save_engagement()
         assert again.messages("engagement")[-1].engaged
         assert again.node.diagnose().sentence.startswith("the arm was left in engaged segment 'lift' of plan w")
 

@@ -83,7 +83,7 @@ class ShownPoses(Generic[Shown]):
         self._at = 0.0
         self._left_out: Shown | None = None
 
-    def take(self, now: float, names: Sequence[str], q: Sequence[float], shown: Shown) -> Shown | None:
+    def next_shown(self, now: float, names: Sequence[str], q: Sequence[float], shown: Shown) -> Shown | None:
         """Return what is shown now: the pose, at the end of a rest the one before, or None."""
         same_joints = tuple(names) == self._names
         moved = not same_joints or any(abs(value - before) > STILL for value, before in zip(q, self._q))
@@ -187,7 +187,7 @@ class DisplayNode:
         # poses come in a thread of their own: a pose and the end of its motion must not overtake each other
         self._lock = threading.Lock()
         self._twin: tuple[int, tuple[float, ...]] | None = None
-        self._heard = self._next = 0.0
+        self._received_at = self._next = 0.0
         self._silent = False
         self._twin_shown: ShownPoses[JointState] = ShownPoses()
         self._poses_shown = {tree: ShownPoses[tuple[int, tuple[float, ...]]]() for tree in TREES}
@@ -217,7 +217,7 @@ class DisplayNode:
         """Publish a pose of the twin with velocities and its own stamp, and take the next one when it is its turn."""
         now = time.monotonic()
         with self._lock:
-            self._twin, self._heard, self._silent = (stamp, q), now, False
+            self._twin, self._received_at, self._silent = (stamp, q), now, False
             self._publish_twin(stamp, q, self._velocities.of(stamp, q))
         # a grid, so that the rate does not depend on how long a message takes; begun anew after a silence
         self._next = max(self._next + PERIOD, now)
@@ -227,7 +227,7 @@ class DisplayNode:
     def on_joints(self, message: JointState) -> None:
         """Pass on what tf is made of, of the twin."""
         with self._lock:  # anybody may publish these
-            shown = self._twin_shown.take(time.monotonic(), message.name, message.position, message)
+            shown = self._twin_shown.next_shown(time.monotonic(), message.name, message.position, message)
         if shown is not None:
             self._publishers["shown/twin"].publish(shown)
         time.sleep(FRAME_PERIOD)
@@ -237,7 +237,7 @@ class DisplayNode:
         now = time.monotonic()
         with self._lock:
             twin = self._twin
-            if twin is not None and not self._silent and now - self._heard >= SILENCE:
+            if twin is not None and not self._silent and now - self._received_at >= SILENCE:
                 self._silent = True
                 # the pose is known of its own time only
                 self._publish_twin(*twin, (0.0,) * len(twin[1]))
@@ -252,7 +252,7 @@ class DisplayNode:
 
     def show(self, tree: str, stamp: int, q: tuple[float, ...]) -> tuple[int, tuple[float, ...]] | None:
         """Publish a pose [rad] in a tree of tf and return it, if it is its turn."""
-        shown = self._poses_shown[tree].take(time.monotonic(), (), q, (stamp, q))
+        shown = self._poses_shown[tree].next_shown(time.monotonic(), (), q, (stamp, q))
         if shown is not None:
             self._publish_frames(tree, *shown)
         return shown

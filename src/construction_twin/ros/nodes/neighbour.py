@@ -71,7 +71,7 @@ class NeighbourNode:
         self._state = Diagnosis(WARN, "no plan yet")
         self._checked: tuple[Plan, Scene, tuple[Obstacle, ...]] | None = None
         self._met: tuple[float, Contact] | None = None
-        self._said: tuple[str, str] | None = None
+        self._logged: tuple[str, str] | None = None
 
     def run(self) -> None:
         """Check again and again, in the main thread: an unexpected exception ends the process, which is then started anew."""
@@ -92,21 +92,21 @@ class NeighbourNode:
         if plan is None:
             return
         try:
-            problem = self._problem(plan, own)
+            problem = self._obstacle(plan, own)
         except ConstructionTwinError as error:
             problem = str(error)
         self._publish(plan, problem)
         sentence = problem or "its path is free"
         self._state = Diagnosis(WARN if problem else OK, sentence)
-        if self._said != (plan.id, problem):
-            self._said = plan.id, problem
+        if self._logged != (plan.id, problem):
+            self._logged = plan.id, problem
             (rospy.logwarn if problem else rospy.loginfo)("plan %s: %s", plan.id, sentence)
 
     def _publish(self, plan: Plan, problem: str) -> None:
         message = ConflictMsg(plan_id=plan.id, conflict=bool(problem), reason=problem)
         self._publisher.publish(with_sentences(message, problem))
 
-    def _problem(self, plan: Plan, own: Claim | None) -> str:
+    def _obstacle(self, plan: Plan, own: Claim | None) -> str:
         """Return why a plan must not start, or go on: it meets the other arm's earlier plan, or that arm where it stands; or ""."""
         scene, plays = self._own.scene, own is not None and own.plan_id == plan.id
         try:
@@ -130,7 +130,7 @@ class NeighbourNode:
             self._met, self._checked = first_meeting(world, plan, occupied.obstacles, self._padding), seen
             if self._other.claim() != occupied.claim:
                 # one of its plans was approved, or ended, during the comparison
-                return self._problem(plan, self._own.claim())
+                return self._obstacle(plan, self._own.claim())
         if self._met is None:
             return ""
         seconds, contact = self._met

@@ -25,7 +25,7 @@ from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Diagnosis, warn_of_refusals
 from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
-from construction_twin.ros.shared.start_refusal import AGAIN, TOPIC, launch
+from construction_twin.ros.shared.start_refusal import RESTART_DELAY, TOPIC, launch_id
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
 from construction_twin.views.startup import Deployment, ReportedState, StartUp, StartupInputs
 
@@ -69,13 +69,13 @@ class Refusals:
         self._nodes.setdefault(sentence, {})[re.sub(r"_\d+_\d{13}$", "", node)] = time.monotonic()
 
     def _on_refused(self, message: StartRefused) -> None:
-        if message.launch == launch():
+        if message.launch == launch_id():
             self.add(caller_of(message), message.sentence)
 
     @property
     def sentences(self) -> list[str]:
         """Each sentence once, with the nodes that say it; a node that has not repeated it has started since."""
-        since = time.monotonic() - 2.0 * AGAIN
+        since = time.monotonic() - 2.0 * RESTART_DELAY
         nodes = {
             sentence: sorted(node for node, at in dict(said).items() if at > since)
             for sentence, said in dict(self._nodes).items()

@@ -149,7 +149,7 @@ class ShownPlan:
             self._publish_plan()
 
     def clear_retained(self) -> None:
-        """Take both away: nobody hears a verdict any more."""
+        """Clear both retained messages: nobody hears a verdict any more."""
         for topic in (self._topics.plan, self._topics.rehearsal):
             self._connection.publish(topic, b"", retain=True)
 
