@@ -114,7 +114,7 @@ class ClosedForm:
 
     @property
     def relative_error(self) -> float:
-        """By how much the arm misses the model, as a fraction of what is allowed; 0: it is exact."""
+        """Deviation of the arm from the model, as a fraction of what is allowed; 0: it is exact."""
         return 0.0 if self.exact else max(self.off_m / NEAR_M, self.off_rad / NEAR_RAD)
 
     def solver(self) -> Solver:

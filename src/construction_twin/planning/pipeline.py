@@ -178,7 +178,7 @@ class PlanningPipeline:
             self._scene_changed.notify_all()
 
     def refuse_scene(self, fault: SceneError) -> None:
-        """Note that the scene has changed to an unusable one: nothing can be planned until the next scene."""
+        """Refuse plans until the next scene: the present one is unusable."""
         with self._scene_changed:
             self._scene, self._scene_fault = None, fault
             self._scene_changed.notify_all()

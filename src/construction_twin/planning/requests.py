@@ -60,7 +60,7 @@ class PlanRequests:
         self._busy = threading.Lock()
 
     def on_verdict(self, plan_id: str) -> None:
-        """Take that a plan is not, or no longer, under review."""
+        """Record that a plan is decided."""
         if plan_id in self._newest.values():
             self._decided.set()
 

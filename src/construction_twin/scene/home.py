@@ -80,7 +80,7 @@ def _home_candidates(lower: float, upper: float, linear: bool) -> list[float]:
 
 
 def _score(chain: Chain, q: np.ndarray) -> float:
-    """Return how good a home pose is without looking at contacts: larger is better."""
+    """Return the score of a home pose, contacts ignored: larger is better."""
     robot = chain.robot
     jacobian = chain.jacobian(q)
     jacobian[:3] /= max(chain.arm_length, 1e-6)

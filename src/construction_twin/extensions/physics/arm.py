@@ -103,7 +103,7 @@ class SimulatedArm:
         self.physics.set_followers(self.data)
 
     def continue_from(self, before: SimulatedArm) -> None:
-        """Take over pose, speed and the servo's state of an arm in another scene."""
+        """Continue with pose, speed and servo state of an arm in another scene."""
         self.answer, self._speed, self.setpoint = before.answer.copy(), before._speed.copy(), before.setpoint.copy()
         self.data.qpos[self._joints] = before.q
         self.data.qvel[self._joints] = before.data.qvel[before._joints]

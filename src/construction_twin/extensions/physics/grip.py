@@ -107,7 +107,7 @@ class GripLoadRecorder:
         self._moments: list[np.ndarray] = []
 
     def record_step(self, time: float, data: mujoco.MjData) -> None:
-        """Add the last step, at `time` of the plan [s]: its accelerations, and the forces of what the workpiece touched."""
+        """Record the last step, at `time` of the plan [s]: its accelerations, and the forces on the workpiece."""
         mujoco.mj_rnePostConstraint(self._model, data)
         moment, force = data.cfrc_int[self._pieces].sum(axis=0).reshape(2, 3)
         rotation = data.xmat[self._holder].reshape(3, 3)

@@ -42,7 +42,7 @@ class LiveTwin:
         return f"{anew}: {self.diverged} times so far" if self.diverged else ""
 
     def set_model(self, model: PhysicsModel) -> None:
-        """Go on in another model from the next cycle on, with pose, speed and servo as they are then."""
+        """Continue in another model from the next cycle on, with the pose, speed and servo state of that moment."""
         self._next.append(model)
 
     def restart(self) -> None:

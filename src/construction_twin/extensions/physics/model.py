@@ -89,13 +89,13 @@ class PhysicsModel:
         return data
 
     def set_followers(self, data: mujoco.MjData) -> None:
-        """Put the joints that follow another where the arm's pose and speed have them."""
+        """Set pose and speed of the joints that follow another."""
         for one in self.followers:
             data.qpos[one.place] = one.offset + one.factor * data.qpos[one.leader]
             data.qvel[one.place] = one.factor * data.qvel[one.leader]
 
     def set_follower_rates(self, rates: np.ndarray) -> None:
-        """Give the joints that follow the rates that those of their leaders mean, shape (nv,)."""
+        """Set the rates of the joints that follow another, in `rates` of shape (nv,)."""
         for one in self.followers:
             rates[one.place] = one.factor * rates[one.leader]
 

@@ -164,7 +164,7 @@ class _Track:
         self.off = np.zeros(len(self.limit))
 
     def record_cycle(self, arm: SimulatedArm, peak: np.ndarray, gravity: GravityTorque) -> None:
-        """Add a cycle, with the largest torque of each axis in it."""
+        """Record a cycle, with the largest torque of each axis in it."""
         q = arm.q
         self.torques.append(peak)
         self.speeds.append(arm.data.qvel[arm.physics.joints].copy())
@@ -365,7 +365,7 @@ class _Run:
         return None
 
     def _record_contacts(self, physics: PhysicsModel, data: mujoco.MjData, at: float, without: Set[str]) -> None:
-        """Note what touches in this step; of two bodies that touch at several points the forces are added up."""
+        """Record the contacts of this step; the forces of two bodies at several points are added up."""
         geoms = data.contact.geom
         forces: dict[tuple[str, str], float] = {}
         largest: dict[tuple[str, str], tuple[float, int]] = {}
@@ -414,7 +414,7 @@ class _Run:
         return tuple(found.values())
 
     def _loose_object(self, arm: SimulatedArm, name: str) -> LooseObject:
-        """Return what has become of a loose object until now."""
+        """Return the motion of a loose object until now."""
         before = self._before[name]
         now, speed = arm.loose_state(name)
         released = self._released.get(name, math.nan)

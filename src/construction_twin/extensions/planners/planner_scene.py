@@ -46,7 +46,7 @@ class PlannerObject:
 
 @dataclass(frozen=True, eq=False)
 class PlannerScene:
-    """What another planner is told of a scene.
+    """A scene as another planner receives it.
 
     Attributes:
         names: Links with a shape, then objects.

@@ -75,7 +75,7 @@ class TrajectoryGoal:
 
 @dataclass(frozen=True)
 class RequestPlan:
-    """The planner is to be asked for a plan."""
+    """A plan is to be requested from the planner."""
 
     goal: TrajectoryGoal
 
@@ -183,7 +183,7 @@ class TrajectoryGoals:
         return self._report.start if self.plan is not None and self.plan.id == self._report.plan_id else 0
 
     def pop_effects(self) -> list[Effect]:
-        """Return what has to be done since the last call, in this order."""
+        """Return the effects since the last call in their order, and forget them."""
         effects, self._effects = self._effects, []
         return effects
 

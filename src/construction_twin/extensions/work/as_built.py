@@ -73,7 +73,7 @@ def bodies_at(bodies: Sequence[SceneObject], pose: Pose, link: str = "") -> tupl
 
 
 def scene_change(scene: Scene, wanted: Mapping[str, SceneObject], left_alone: Collection[str]) -> SceneChange:
-    """Return what has to change so that the work's objects are the wanted ones; others are not touched."""
+    """Return the change that makes the work's objects the wanted ones."""
     there = {item.name: item for item in scene.objects}
     put = tuple(item for name, item in wanted.items() if name not in there or there[name].contents() != item.contents())
     mine = [name for name in there if "/" in name and name.split("/", 1)[0] not in left_alone]
@@ -117,7 +117,7 @@ class AsBuilt:
 
     @property
     def states(self) -> TaskStates:
-        """What the ledger says now."""
+        """The present states of the ledger."""
         return self.ledger.states
 
     def job(self, task: str) -> Job:
@@ -161,12 +161,12 @@ class AsBuilt:
         return self.loaded.stock.in_stock(self.out_of_stock())
 
     def out_of_stock(self) -> list[str]:
-        """Return the elements that do not lie in their stock any more."""
+        """Return the elements that have left their stock."""
         tasks = self.states.tasks
         return [element for element, task in self.loaded.schedule.placing.items() if tasks[task].has_left_stock]
 
     def taken_down(self) -> set[str]:
-        """Return what was taken down."""
+        """Return the elements that people have taken down."""
         return {element for task, element in self.loaded.removals.items() if self.states.tasks[task].gone}
 
     def placing(self, element: str) -> TaskMemory | None:

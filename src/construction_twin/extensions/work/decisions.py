@@ -110,7 +110,7 @@ def redo(board: TaskBoard, task: str, person: str, reason: str) -> str:
 
 
 def ask_about_carried(board: TaskBoard) -> str:
-    """Have what counts as carried asked about, as the tool is surely open; return a sentence, empty: nothing is."""
+    """Ask about the element that counts as carried while the tool is open; return a sentence, empty: none is carried."""
     held = board.states.in_state(TaskState.CARRIED)
     if not held:
         return ""
@@ -170,7 +170,7 @@ def _identify_with(board: TaskBoard, task: str, heir: str, person: str, reason: 
 
 
 def ask_about_other_ledgers(board: TaskBoard) -> None:
-    """Have it asked about what other ledgers of the folder placed of this model, or at a place of it."""
+    """Ask about elements that other ledgers of the folder have placed of this model, or at a place of it."""
     for path in sorted(board.ledger.path.parent.glob("*.jsonl")):
         if path == board.ledger.path:
             continue
@@ -201,7 +201,7 @@ def _ask_about_found(board: TaskBoard, memory: TaskMemory, mine: bool, source: s
 
 
 def record_measured(board: TaskBoard, element: str, pose: Pose, person: str, reason: str) -> Deviation:
-    """Record where an element really is."""
+    """Record the measured pose of an element."""
     _require_person(person)
     task = board.loaded.schedule.placing.get(element)
     if task is None:
@@ -218,7 +218,7 @@ def record_measured(board: TaskBoard, element: str, pose: Pose, person: str, rea
 
 
 def _require_free_slot(board: TaskBoard, task: str) -> None:
-    """Refuse to count an element as back in stock while another one lies there."""
+    """Refuse an element in stock while another one lies in its slot."""
     other = board.loaded.stock.instead_of(board.element_of(task), board.built.out_of_stock())
     if not other:
         return

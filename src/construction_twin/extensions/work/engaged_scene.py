@@ -25,7 +25,7 @@ def restoring_change(
     element: str = "",
     forms: Iterable[Sequence[SceneObject]] = (),
 ) -> SceneChange | str:
-    """Return the change of a scene in which an engaged arm cannot go back yet, or why none is known.
+    """Return the change after which an engaged arm can go back, or why none is known.
 
     Args:
         segments, changes: Of the plan that ended inside; empty: unknown.
@@ -57,7 +57,7 @@ def restoring_change(
 
 
 def switches_confirmed(left: EngagementReport, segment: Segment) -> bool:
-    """Return whether an engagement says that the switches at a segment's end have happened."""
+    """Return whether an engagement confirms the switches at a segment's end."""
     return segment.scene_after != segment.scene and set(left.scenes) == {segment.scene_after}
 
 
@@ -68,7 +68,7 @@ def _scene_of_hash(
     element: str,
     forms: Sequence[tuple[SceneObject, ...]],
 ) -> Scene | None:
-    """Return a scene with one of these hashes, made of another one."""
+    """Return a scene of one of these hashes that a change makes of another scene; None: no change does."""
     if base.hash in scenes:
         return base
     if element:

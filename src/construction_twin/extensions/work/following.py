@@ -36,7 +36,7 @@ FINISHED = "finished"
 
 @dataclass(frozen=True)
 class PlanActions:
-    """Where a plan acts on the element.
+    """The segments in which a plan acts on its element.
 
     Attributes:
         grips, releases: Numbers of the segments that end so; negative: none, or unknown.
@@ -52,7 +52,7 @@ class PlanActions:
 def plan_actions(
     plan_id: str, memory: TaskMemory, segments: Sequence[Segment], changes: Sequence[SceneChange], tool: Tool
 ) -> PlanActions:
-    """Return where a plan of a task grips the element, and lets go of it."""
+    """Return the segments in which a plan grips, works on and releases its element."""
     grips, releases = -1, -1
     for number, (segment, change) in enumerate(zip(segments, changes)):
         for switch in segment.switches:
@@ -66,7 +66,7 @@ def plan_actions(
 
 
 def actions_by_outcome(plan_id: str, memory: TaskMemory, outcome: str) -> PlanActions:
-    """Return what the outcome alone tells of a plan whose segments are unknown."""
+    """Return what the outcome tells of a plan with unknown segments."""
     if memory.stays:
         return PlanActions(plan_id, -1, -1)
     if outcome == FINISHED:
@@ -208,7 +208,7 @@ class Follower:
     # -- the task under way
 
     def on_report(self, report: ExecutionReport | None) -> None:
-        """Record what a report says of the task under way."""
+        """Record what a report means for the task under way."""
         left, memory = self._received.left_engaged, self._under_way()
         if memory is None or report is None or self._received.is_engagement_unknown:
             return
@@ -258,7 +258,7 @@ class Follower:
         return self._board.states.tasks.get(self._board.states.busy)
 
     def _actions_of(self, memory: TaskMemory, known: KnownPlan | None) -> PlanActions | None:
-        """Return where a plan acts; None: it is another task's."""
+        """Return the actions of a plan; None: it is another task's."""
         if known is None or known.plan.task != memory.task:
             return None
         plan = known.plan

@@ -1,6 +1,6 @@
 """The ledger: one event per line, on the disk before anybody acts on it; the states of the tasks are computed from its lines.
 
-One per robot and site; beside it the bodies that lines name by digest.
+One per robot and work cell; beside it the bodies that lines name by digest.
 """
 
 from __future__ import annotations
@@ -279,7 +279,7 @@ class Ledger:
     # -- bodies
 
     def save_bodies(self, bodies: Sequence[SceneObject]) -> str:
-        """Write an element's pieces to the disk, independent of model and cache; return their digest."""
+        """Save an element's pieces; return their digest."""
         digest = bodies_digest(bodies)
         try:
             for item in bodies:
@@ -303,7 +303,7 @@ class Ledger:
                 os.close(handle)
 
     def saved_bodies(self, element: str, digest: str) -> tuple[SceneObject, ...]:
-        """Return kept pieces as ``<element>/0``, ..., in the element's frame."""
+        """Read saved pieces as ``<element>/0``, ..., in the element's frame."""
         path = self._bodies / f"{digest}.json"
         try:
             content, pieces = path.read_bytes(), []
@@ -323,7 +323,7 @@ _OF_BODY = ("shape", "size", "position", "quaternion", "padding")
 
 
 def bodies_digest(bodies: Sequence[SceneObject]) -> str:
-    """Return the digest by which an element's pieces are kept."""
+    """Return the digest under which an element's pieces are saved."""
     return hashlib.sha256(_contents(bodies)).hexdigest()
 
 

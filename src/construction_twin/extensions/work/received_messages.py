@@ -1,4 +1,4 @@
-"""What the work receives: executor, plans, verdicts, scene and tool."""
+"""The newest messages of executor, planner, reviewers, scene and tool."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class GripReading:
 
     @property
     def is_surely_open(self) -> bool:
-        """Whether nothing can be held."""
+        """Whether the grip is known to be open."""
         return self.known and not self.closed
 
 
@@ -65,7 +65,7 @@ def grip_of(tool: Tool, outputs: Mapping[str, bool], inputs: Mapping[str, bool])
 
 
 class Received:
-    """Keeps the newest of each, for any thread.
+    """The newest message of each kind, for any thread.
 
     Args:
         publishers: Returns how many nodes publish ``execution``, ``plan`` or ``tool``.
@@ -96,7 +96,7 @@ class Received:
     def on_message(
         self, message: ExecutionReport | EngagementReport | ToolReport | KnownPlan | Verdict | Scene
     ) -> None:
-        """Store what was received, and wake whoever waits for it."""
+        """Store a message, and wake the threads that wait for it."""
         with self._changed:
             match message:
                 case ExecutionReport():
@@ -120,7 +120,7 @@ class Received:
         self.notify()
 
     def notify(self) -> None:
-        """Let whoever waits for news know that there are some."""
+        """Wake the thread that waits for news."""
         self._news.set()
 
     def wait_for_news(self, seconds: float) -> bool:
@@ -159,7 +159,7 @@ class Received:
 
     @property
     def is_engagement_unknown(self) -> bool:
-        """Whether the arm was left engaged at a place still unknown: the disk takes it first."""
+        """Whether the arm was left engaged at an unknown place, until its record is on the disk."""
         return self.execution is not None and self.execution.engaged and self.left_engaged is None
 
     # -- plans and scenes
@@ -190,7 +190,7 @@ class Received:
         return read_fate(self._review_file, plan_id, offer)
 
     def forget_orphaned_plan(self, plan_id: str) -> bool:
-        """Return whether a plan under review went with planner and executor; forget it then."""
+        """Forget a plan under review whose planner and executor have gone; return whether it was one."""
         if not self._publishers("plan"):
             self._plan_offered = False
         # an executor that is still there has the plan, whatever became of the planner

@@ -138,7 +138,7 @@ class TaskBoard:
         return ""
 
     def empty_grip_remedy(self, commanded: Collection[str]) -> str:
-        """Return what a person does about a grip that is closed on nothing, as after one that was not confirmed.
+        """Return what a person does about a grip closed on nothing; empty: it holds something, or is open.
 
         The next approach would suck too early, and no plan opens it. `commanded`: The outputs that command it to hold.
         """
@@ -173,7 +173,7 @@ class TaskBoard:
         return self.loaded.titles.get(task) or repr(self.built.element(task).name)
 
     def typed_name(self, task: str) -> str:
-        """Return what a person types for a task: its name, or its id where others have it."""
+        """Return the word that a person types for a task: its name, or its id where others have it."""
         name = self.built.job(task).name
         return name if name and self.title(task) == repr(name) else task
 

@@ -340,7 +340,7 @@ class TaskMemory:
         return bool(self.process) and not process_of(self.process).moves
 
     def accepts(self, entry: Entry) -> bool:
-        """Return whether an event fits the present state."""
+        """Return whether an entry's event fits the present state."""
         return self._row(entry) is not None
 
     def with_entry(self, entry: Entry) -> TaskMemory:
@@ -421,6 +421,6 @@ class TaskMemory:
 
     @property
     def has_left_stock(self) -> bool:
-        """Whether the element does not lie in its stock any more."""
+        """Whether the element has left its stock."""
         # of a skipped task a person takes the element out, so that the next can be delivered
         return self.in_grip or self.placed or self.gone or self.state is TaskState.SKIPPED

@@ -121,7 +121,7 @@ class CellFile(Strict):
 
 @dataclass(frozen=True, eq=False)
 class WorkCell:
-    """A cell, read."""
+    """The tool, recipes and scene of a cell file."""
 
     path: str
     file: CellFile

@@ -76,7 +76,7 @@ class CheckedTask:
 
 @dataclass(frozen=True, eq=False)
 class PlanningContext:
-    """What was read, for planning. Not for use from several threads at once."""
+    """What `load_model` leaves for the plans of one process. For one thread."""
 
     robot: RobotModel
     planner: TaskPlanner

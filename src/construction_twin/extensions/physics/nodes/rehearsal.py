@@ -229,7 +229,7 @@ class RehearsalNode:
         return job.plan.scene in self._scenes and (self._knows_tasks or not job.plan.task)
 
     def _rehearse(self, request: RehearsalRequest) -> RehearsalReport:
-        """Have a plan rehearsed, for as long as that may take."""
+        """Rehearse a plan in the other process, within the time limit."""
         limit = threading.Timer(self._time_limit, self._expire)
         limit.daemon = True
         limit.start()

@@ -145,7 +145,7 @@ class FollowJointTrajectoryNode:
         return server
 
     def run(self) -> None:
-        """Do what has happened, and look at poses and clock, until shutdown."""
+        """Handle events, and tick, until shutdown."""
         # here it can follow what becomes of a goal
         self._servers = [self._serve(name) for name in self._names]
         next_tick = time.monotonic()
@@ -192,7 +192,7 @@ class FollowJointTrajectoryNode:
             client.handle.publish_feedback(feedback)
 
     def _publish_caller(self) -> None:
-        """Tell whoever reviews whether the client of the plan under review is still there: it may have given up without a word."""
+        """Publish for reviewers whether the client of the plan under review is still connected."""
         goals = self._goals
         if goals.state is not GoalState.REVIEW or goals.goal is None or goals.plan is None:
             return

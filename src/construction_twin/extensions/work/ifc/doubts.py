@@ -52,7 +52,7 @@ class LogEntry:
 
 
 def parse_log(log: str) -> Iterator[LogEntry]:
-    """Give the errors and warnings of a log, those left out that say nothing of elements."""
+    """Yield the errors and warnings of a log that concern elements."""
     lines = log.splitlines()
     for line, after in zip(lines, (*lines[1:], "")):
         logged = _LOGGED.match(line)
@@ -92,7 +92,7 @@ class Doubts:
         self.related: dict[int, str] = {}
 
     def on_parser_log(self, log: Collection[LogEntry], contents: bytes, name: str) -> None:
-        """Take what the parser said of the contents that it read, and remove relations of which a part is missing.
+        """Doubt what the parser's log names, and remove relations of which a part is missing.
 
         Raises:
             BuildingError: If an instance is referred to and not in the file.

@@ -157,7 +157,7 @@ class _KernelShape:
 def _kernel_shapes(
     file: ifcopenshell.file, name: str, bodies: Mapping[int, _Entity], read_log: Callable[[_Entity], None]
 ) -> Iterator[_KernelShape]:
-    """Give what the kernel makes of representations, nothing cut out; only what has triangles."""
+    """Yield the kernel's shapes of representations that have triangles, openings still filled."""
     total = 0
     for number, representation in bodies.items():
         product = file.by_id(number)

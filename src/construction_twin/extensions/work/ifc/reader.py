@@ -122,7 +122,7 @@ class _Reader:
         self.ids: dict[int, str] = {}
 
     def record_ignored_coordinates(self) -> None:
-        """Note what of the coordinate systems is left out: the map's, and the one of the model's context."""
+        """Note the ignored coordinate systems: of the map, and of the model's context."""
         for conversion in () if self.file.schema == "IFC2X3" else self.file.by_type("IfcMapConversion"):
             with Where(self.name, conversion):
                 shift = [conversion.Eastings, conversion.Northings, conversion.OrthogonalHeight]
@@ -196,7 +196,7 @@ class _Reader:
         return elements
 
     def _record_ignored_shapes(self, product: _Entity, body: _Entity, element_id: str) -> None:
-        """Note what else a product says of its shape: bodies beside the one that is taken, openings without one."""
+        """Note ignored bodies beside the first one, and openings without a body."""
         about = product.Name or element_id
         same = [
             each
@@ -211,7 +211,7 @@ class _Reader:
             self.notes.add("Openings without a body are not cut out", about, element_id)
 
     def _record_kernel_log(self, product: _Entity) -> None:
-        """Note what the kernel said of a product, and doubt it."""
+        """Note the kernel's messages about a product, and doubt it."""
         for entry in parse_log(ifcopenshell.get_log()):
             if entry.code in NO_UNIT_CODES:
                 expected = (
@@ -345,7 +345,7 @@ def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
 
 
 def _built_from_inputs(elements: dict[str, Element]) -> set[str]:
-    """Return what a task that it is given to builds: workpieces, and assemblies without a body of which they are parts."""
+    """Return what a task builds that has it as an input: workpieces, and assemblies without a body of which they are parts."""
     parents = {element.assembly for element in elements.values()}
     found = {element.id for element in elements.values() if is_workpiece(element, element.id in parents)}
     for name in list(found):

@@ -240,7 +240,7 @@ class _Reading:
         return "makes"
 
     def _is_marked_completed(self, entity: _Entity) -> bool:
-        """Return whether a task says of itself that it is done: by its status, or by its times."""
+        """Return whether status or times of a task mark it as done."""
         time = _time_of(entity)
         whole = not self.beyond and math.isclose(_completion(time), 1.0, abs_tol=_ROUNDING)
         return _status_word(entity) in _DONE_WORDS or whole or getattr(time, "ActualFinish", None) is not None

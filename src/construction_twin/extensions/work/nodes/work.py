@@ -251,7 +251,7 @@ class WorkNode:
         return Outcome(True, sentence, fields={"deviation_mm": distance, "deviation_deg": angle})
 
     def on_message(self, topic: str, read: Callable[[Any], Any], message: Any) -> None:
-        """Hand on a message; one that cannot be read is refused."""
+        """Read and store a message, or refuse it."""
         try:
             content = read(message)
         except (SceneError, TrajectoryError, PayloadError) as error:
@@ -262,7 +262,7 @@ class WorkNode:
     # -- reports
 
     def _fail(self, sentence: str) -> None:
-        """Go on without the work."""
+        """Stop the work with a sentence."""
         rospy.logerr("%s", sentence)
         self._fault, self.progress, self._broken = sentence, None, True
         self._publish()
