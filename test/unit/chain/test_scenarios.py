@@ -27,7 +27,7 @@ from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import NANOSECONDS, from_wire, to_wire
 from construction_twin.evaluation.recording import PlayedPlan
 from construction_twin.execution.approval import Approval
-from construction_twin.extensions.physics.process import prepared
+from construction_twin.extensions.physics.process import load_rehearsal
 from construction_twin.extensions.physics.rehearsal import Rehearsal
 from construction_twin.gateway.states import State
 from construction_twin.gateway.trace import TraceEntry
@@ -95,7 +95,7 @@ class ScenarioRun:
         self._rehearsal: Rehearsal | None = None
         if content.get("executor", {}).get("rehearsal") == "require":
             files = str(ROOT / "config/kr120_self_collision.yaml"), DRIVES
-            self._rehearsal = prepared(ROBOT, *files, payload=tuple(content["rehearsal"]["payload"]))
+            self._rehearsal = load_rehearsal(ROBOT, *files, payload=tuple(content["rehearsal"]["payload"]))
         #: What the gateway sent.
         self.trace: list[TraceEntry] = []
         self.chain.gateway.trace = self._on_reply

@@ -198,7 +198,7 @@ class VirtualRobotNode:
         contacts = ", ".join(f"{first} + {second}" for first, second in self._backend.contacts)
         values = {"simulated scene": self._simulated.scene, "contacts": contacts or "none"}
         touches = contacts and f"the simulated arm touches: {contacts}"
-        problem = self._simulated.scene_problem or self._backend.problem or touches
+        problem = self._simulated.scene_fault or self._backend.problem or touches
         return Diagnosis(WARN, problem, values) if problem else Diagnosis(OK, said, values)
 
 
