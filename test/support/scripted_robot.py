@@ -109,7 +109,7 @@ class ScriptedRobot:
     Args:
         broker: With the account of the robot's bridge.
         name: In the topics.
-        period: Of `view` [s]; 0: only when `say` is called.
+        period: Of `view` [s]; 0: only when `publish_view` is called.
 
     Attributes:
         heard: What came: topic below the robot's, payload.
@@ -199,7 +199,7 @@ class ScriptedRobot:
             self.trajectory = bent_motion(self.twin.copy(), np.asarray(goal, dtype=float), self._names, duration)
             self.plan = self._view_of(self.trajectory, f"{self.name}-{self._numbers}", source)
             self._publish(self._topics.plan, self.plan.to_json(200), retain=True)
-            self.say()
+            self.publish_view()
             return self.plan
 
     def take_plan_away(self) -> None:
@@ -208,7 +208,7 @@ class ScriptedRobot:
             self.plan, self.obstacle = None, ""
             self._publish(self._topics.plan, b"", retain=True)
             self._publish(self._topics.rehearsal, b"", retain=True)
-            self.say()
+            self.publish_view()
 
     def show_rehearsal(self, report: RehearsalReport, obstacle: str = "") -> None:
         """Say what a rehearsal of the plan under review has found, and why that is against approving it."""
@@ -217,7 +217,7 @@ class ScriptedRobot:
             report = replace(report, plan_id=self.plan.id, plan_hash=self.plan.hash)
             self.obstacle = obstacle
             self._publish(self._topics.rehearsal, to_json(report, separators=SPACED), retain=True)
-            self.say()
+            self.publish_view()
 
     def play(self) -> None:
         """Play the plan under review, as after an approval."""
@@ -252,7 +252,7 @@ class ScriptedRobot:
         document = {"hash": f"{len(objects):064d}", "frame": "base_link", "padding": 0.01, "objects": list(objects)}
         self._publish(self._topics.scene, json.dumps(document).encode(), retain=True)
 
-    def say(self) -> None:
+    def publish_view(self) -> None:
         """Publish a view of now."""
         with self._lock:
             now = time.time_ns()
@@ -356,7 +356,7 @@ class ScriptedRobot:
             if self.silent:
                 continue
             if self._period:
-                self.say()
+                self.publish_view()
             if time.monotonic() - said >= SCREEN:
                 said = time.monotonic()
                 self._publish(self._topics.screen, self._screen())

@@ -31,7 +31,7 @@ from construction_twin.extensions.work.process import (
     TaskMotions,
     listed,
 )
-from construction_twin.extensions.work.site import inverse, pose_of
+from construction_twin.extensions.work.work_cell import inverse, pose_of
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import product
 
@@ -69,7 +69,7 @@ def check(search: Search) -> None:
     """Refuse an element that is not where the job has it, and one that is held."""
     job, present = search.job, {item.name: item for item in search.scene.objects}
     if search.held is not None:
-        raise TaskPlanningError(job.task, f"{job.called} is in the grip; to touch it is to stand at its place")
+        raise TaskPlanningError(job.task, f"{job.label} is in the grip; to touch it is to stand at its place")
     for item in job.bodies:
         found = present.get(item.name)
         away = np.inf if found is None else np.linalg.norm(

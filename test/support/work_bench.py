@@ -27,12 +27,12 @@ from unplugged import ask, over_the_wire
 
 from construction_twin.core.errors import RequestRefused
 from construction_twin.core.freshness import Moment
-from construction_twin.extensions.work import session
+from construction_twin.extensions.work import work_progress
+from construction_twin.extensions.work.layout import Slot, StockPlan
 from construction_twin.extensions.work.ledger import read_entries
 from construction_twin.extensions.work.loaded_model import ElementFacts, LoadedModel
 from construction_twin.extensions.work.nodes import work as module
 from construction_twin.extensions.work.schedule import Job, Schedule
-from construction_twin.extensions.work.site_scene import Slot, StockPlan
 from construction_twin.extensions.work.task_board import TaskBoard
 from construction_twin.extensions.work.task_memory import Entry
 from construction_twin.kinematics.chain import Chain, Pose
@@ -118,7 +118,7 @@ class Bench:
         self.tasks: list = []
         self._plans = 0
         monkeypatch.setenv("ROS_HOME", str(folder))
-        monkeypatch.setattr(session, "SCENE_TIME", 0.05)
+        monkeypatch.setattr(work_progress, "SCENE_TIME", 0.05)
         monkeypatch.setattr(rospy.Time, "now", lambda: rospy.Time(7))
         for level in ("loginfo", "logwarn", "logerr"):
             monkeypatch.setattr(rospy, level, lambda *_: None)
@@ -166,12 +166,12 @@ class Bench:
     @property
     def board(self) -> TaskBoard:
         """The node's board of tasks."""
-        return self.node.session.board
+        return self.node.progress.board
 
     def run(self, times: int = 8) -> Bench:
         """Let the node do what follows from all it has heard, and try again what does not work."""
         for _ in range(times):
-            self.node.go_on()
+            self.node.run_once()
         return self
 
     # -- what the node hears
@@ -310,7 +310,7 @@ class Bench:
 
     def _plan_work(self, request) -> PlanWorkResponse:
         if self.planner_dies == "before":
-            raise session.NoAnswer("the planner does not answer")
+            raise work_progress.NoAnswer("the planner does not answer")
         work = [work_segment_from_msg(segment) for segment in request.segments]
         scene, end, parts = self.scene, 0.0, []
         for each in work:
@@ -322,7 +322,7 @@ class Bench:
         if self.planner_dies == "node":
             raise Killed
         if self.planner_dies == "after":
-            raise session.NoAnswer("the planner does not answer")
+            raise work_progress.NoAnswer("the planner does not answer")
         plan = self.plan
         return PlanWorkResponse(True, "planned", plan.id, plan.hash, plan.trajectory.duration, "")
 

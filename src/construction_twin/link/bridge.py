@@ -134,13 +134,15 @@ class JointStrings:
         """Expect another gateway's states."""
         self._check.restart()
 
-    def command(self, q: tuple[float, ...], session: str, stamp: int) -> tuple[bytes, list[tuple[str, str]] | None]:
+    def encode_command(
+        self, q: tuple[float, ...], session: str, stamp: int
+    ) -> tuple[bytes, list[tuple[str, str]] | None]:
         """Return the next command [rad], or raise PayloadError."""
         payload = self._codec.encode(q)
         self.sent += 1
         return payload, CommandProperties(session, self.sent, stamp).pairs() if self.properties else None
 
-    def state(
+    def decode_state(
         self, payload: bytes, pairs: list[tuple[str, str]], retained: bool, now: int
     ) -> tuple[tuple[float, ...], StateProperties]:
         """Return the arm's pose [rad] and what stands beside it, or raise PayloadError."""
@@ -148,11 +150,11 @@ class JointStrings:
             raise PayloadError("retained", "retained state: its age is unknown")
         q = self._codec.decode(payload)
         # where the link carries properties, a pose without them is not the gateway's
-        beside = self._read_properties(pairs) if pairs or self.properties else None
-        if beside is not None:
-            self._check.accept(beside.seq, beside.stamp, now)
+        properties = self._read_properties(pairs) if pairs or self.properties else None
+        if properties is not None:
+            self._check.accept(properties.seq, properties.stamp, now)
         self.received += 1
-        return q, beside or _NO_PROPERTIES
+        return q, properties or _NO_PROPERTIES
 
 
 class PendingRequest:
@@ -339,10 +341,10 @@ class Bridge:
         """
         self._record_stops(present)
         if moment is not None:
-            seen = parse_moment(moment)
-            if problem := staleness(seen, present):
+            shown_at = parse_moment(moment)
+            if problem := staleness(shown_at, present):
                 raise ExpiredError(Sentence("this is {problem}", problem=problem))
-            if not is_newer(seen, self._stop_shown_from):
+            if not is_newer(shown_at, self._stop_shown_from):
                 raise ExpiredError(
                     Sentence("this is void: the arm was stopped after what the screen had shown; ask anew")
                 )

@@ -265,8 +265,8 @@ class LinkSupervisor:
                 self._void_request()
         elif self._halt_reason is not None:
             # what the gateway still knows it tells better than the process before this one
-            told = _stop_sentence(self.inputs) if self._waited_before and known.status.fault else self._halt_reason
-            self._enter(LinkState.NEEDS_RESET, told)
+            reason = _stop_sentence(self.inputs) if self._waited_before and known.status.fault else self._halt_reason
+            self._enter(LinkState.NEEDS_RESET, reason)
         elif known.status.fault:
             self._enter(LinkState.NEEDS_RESET, _stop_sentence(self.inputs))
         elif known.stopped_before:
@@ -282,7 +282,7 @@ class LinkSupervisor:
             self._enter(LinkState.NEEDS_RESET, Sentence("{reason}; call reset", reason=_gateway_sentence(self.inputs)))
 
     def _choose_message(self, now: int) -> None:
-        """Decide which control message comes next."""
+        """Choose the next control message."""
         known = self.inputs
         if self._pending is not None and now - self._sent_at < RETRY:
             return

@@ -68,10 +68,10 @@ def _tls_failure(error: ssl.SSLError) -> str:
 
 
 class ConnectionLog:
-    """Says why there is no connection, each sentence once, from the thread that connects or serves the client.
+    """Logs why there is no connection, each sentence once, from the thread that connects or serves the client.
 
     Args:
-        first: Whether to say why there has never been a connection.
+        first: Whether to log why there has never been a connection.
 
     Attributes:
         sentence: Why there is no connection; empty while there is one, and before the first attempt has ended.
@@ -84,7 +84,7 @@ class ConnectionLog:
         self.sentence = ""
 
     def watch(self, client: paho.Client) -> None:
-        """Report the failed attempts of a client that is served by paho's own thread."""
+        """Log the failed attempts of a client that is served by paho's own thread."""
 
         def failed(client, userdata) -> None:
             error = sys.exc_info()[1]
@@ -101,11 +101,11 @@ class ConnectionLog:
         client.on_too_large = self._log
 
     def failed(self, error: OSError) -> None:
-        """Report an attempt to connect that raised `error`."""
+        """Log an attempt to connect that raised `error`."""
         self._log_once(connection_failure(self._broker, error))
 
     def refused(self, reason_code: ReasonCode) -> None:
-        """Report a connection that the broker refused in its answer (CONNACK)."""
+        """Log a connection that the broker refused in its answer (CONNACK)."""
         where, account = self._where, self._broker.account
         if reason_code.value == _UNSUPPORTED_VERSION:
             self._log_once(f"{where} does not speak MQTT 5: use one that does, as mosquitto (docs/broker.md)")
@@ -118,7 +118,7 @@ class ConnectionLog:
             self._log_once(f"{where} refused user {account.user!r}: {reason_code}; {check}")
 
     def lost(self, reason_code: ReasonCode) -> None:
-        """Report the unwanted end of a connection; what the broker said when it refused one stays."""
+        """Log the unwanted end of a connection; what the broker said when it refused one stays."""
         welcomed, self._was_accepted = self._was_accepted, False
         if not reason_code.is_failure or self.sentence:
             return
@@ -138,7 +138,7 @@ class ConnectionLog:
         self._log_once(f"connection to {where} {why}; trying again{more}")
 
     def watch_publish(self, client: paho.Client, topic: str, mid: int) -> None:
-        """Report when the access rules refuse one message that was just published; called in the thread that serves the client.
+        """Log when the access rules refuse one message that was just published; called in the thread that serves the client.
 
         One only: a callback for every message would cost time with each command.
         """

@@ -108,14 +108,14 @@ def plan_cartesian(
     parts = []
     for piece in path.pieces:
         curve = _joint_curve(branch, piece, q)
-        parts.append(_Part.make(branch, piece, curve, math.inf if piece.turn or speed is None else speed, asked))
+        parts.append(_Part.timed_from(branch, piece, curve, math.inf if piece.turn or speed is None else speed, asked))
         if world is not None:
             parts[-1].check_free(branch, world)
         q = parts[-1].timed.trajectory.positions[-1]
-        made = [part.timed.trajectory for part in parts]
-        bounds.check(sum(part.duration for part in made), sum(len(part.times) for part in made))
+        trajectories = [part.timed.trajectory for part in parts]
+        bounds.check(sum(part.duration for part in trajectories), sum(len(part.times) for part in trajectories))
     return CartesianMotion(
-        joined(made)[0],
+        joined(trajectories)[0],
         path,
         max(part.deviation_m for part in parts),
         max(part.deviation_rad for part in parts),
@@ -154,7 +154,7 @@ class _Part:
     top_speed: float
 
     @classmethod
-    def make(cls, branch: Branch, piece: Piece, curve: JointCurve, speed: float, asked: dict[str, Any]) -> _Part:
+    def timed_from(cls, branch: Branch, piece: Piece, curve: JointCurve, speed: float, asked: dict[str, Any]) -> _Part:
         """Time a piece as asked, with waypoints dense enough for the deviation and slow enough for the tool's speed."""
         top_speed = SPEED_FRACTION * speed
         for spacing in SPACINGS:

@@ -392,7 +392,7 @@ def measured(
     raise SceneError("two shapes that touch", "no depth that Coal can measure", "a pose 0.1 mm from there")
 
 
-def make_reliable(data: pinocchio.GeometryData, margins: Sequence[float] = ()) -> None:
+def configure_distances(data: pinocchio.GeometryData, margins: Sequence[float] = ()) -> None:
     """Have every answer depend on the pose alone, and no contact missed; set the distance that counts as contact of each pair [m].
 
     The warm start of the distance search is switched off, because it makes an answer depend on earlier ones. Contact points are

@@ -28,7 +28,7 @@ MANY_BODIES = 128
 #: So far around the arm bodies are looked for first when a motion's clearance is measured among many [m].
 _NEAR = 0.1
 #: Worlds of single motions that are kept.
-_KEPT = 8
+_MOST_WORLDS = 8
 #: Poses that differ by no more than this in any joint follow each other as samples of one motion do [rad, m].
 _CLOSE = 0.03
 #: One pose stands for so many rows; the boxes are larger by the way to the others.
@@ -69,7 +69,7 @@ class CollisionWorld:
         if own is None:
             own = (*robot_bodies.bodies, *robot_bodies.place_all(scene))
         self._own, self._obstacles, self._only = own, obstacles, only
-        self._kept: dict[tuple[float, bytes], CollisionWorld] = {}
+        self._nearby_worlds: dict[tuple[float, bytes], CollisionWorld] = {}
 
     def with_scene(self, scene: Scene) -> CollisionWorld:
         """Return a world with the same robot, and the same other arm, in another scene; faster than building it from the robot."""
@@ -126,16 +126,16 @@ class CollisionWorld:
         # the same motion is asked about more than once: for contacts, for its clearance
         gap = max(gap, _NEAR)
         key = (gap, np.asarray(qs).tobytes())
-        if key in self._kept:
-            return self._kept[key]
+        if key in self._nearby_worlds:
+            return self._nearby_worlds[key]
         paddings = [body.item.padding for body in self._near if body.item is not None]
         around = gap + self.scene.padding + max(paddings, default=0.0)
         own = tuple(self._near[index] for index in self._boxes.near(self._robot_bodies.rows(qs), around))
         only = checked_pairs(own, self.scene.padding, self.self_collision)
         world = CollisionWorld(self._robot_bodies, self.scene, self.self_collision, own, self._obstacles, only)
-        if len(self._kept) >= _KEPT:
-            self._kept.clear()
-        self._kept[key] = world
+        if len(self._nearby_worlds) >= _MOST_WORLDS:
+            self._nearby_worlds.clear()
+        self._nearby_worlds[key] = world
         return world
 
     def _within_reach(self, own: tuple[Body, ...]) -> tuple[Body, ...]:

@@ -50,7 +50,7 @@ class ReportedState:
 
 @dataclass(frozen=True)
 class StartupInputs:
-    """What was heard so far; `controller`: why the arm may not move, as it says itself; "" for no reason."""
+    """What was received so far; `controller`: why the arm may not move, as it says itself; "" for no reason."""
 
     link: ReportedState | None = None
     sync: ReportedState | None = None
@@ -219,12 +219,12 @@ class StartUp:
         self.missing = missing
         if missing is None:
             return self._become_ready()
-        said = self._logged
-        if said is not None and missing.news == said.news:
+        logged = self._logged
+        if logged is not None and missing.news == logged.news:
             return []
         # reasons that alternate must not keep back that something is missing, nor make a line each
-        told = said is not None and missing.kind == said.kind
-        if now - (self._reason_since if told else self._since) < PATIENCE:
+        was_logged = logged is not None and missing.kind == logged.kind
+        if now - (self._reason_since if was_logged else self._since) < PATIENCE:
             return []
         text = f"not ready any more, {missing}" if self._ready else str(missing)
         self._logged, self._ready = missing, False
@@ -239,7 +239,7 @@ class StartUp:
 
 
 class _SideNotice:
-    """Tells what nothing waits for, but a person should know: when it has stood for `PATIENCE`, and that it does no more."""
+    """Logs what nothing waits for, but a person should know: when it has stood for `PATIENCE`, and that it does no more."""
 
     def __init__(self, gone: str):
         self._gone = gone

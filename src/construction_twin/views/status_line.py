@@ -249,7 +249,7 @@ _OVER = frozenset(("done", "skipped"))
 
 @dataclass(frozen=True)
 class CurrentReports:
-    """What the nodes say now; None: silent. `bare`: with a bare PLC; `started`: it is known what the start waits for.
+    """The current reports of the nodes; None: silent. `bare`: with a bare PLC; `started`: it is known what the start waits for.
 
     `plan`, `obstacle`: under review, and why it could not be approved now; `cause`: as `hold_cause`; `work` None: no model.
     """

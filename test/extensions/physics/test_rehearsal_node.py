@@ -19,7 +19,7 @@ from construction_twin.core.extensions import check_extras
 from construction_twin.core.worker import Worker, WorkerError
 from construction_twin.extensions.physics.nodes import rehearsal as module
 from construction_twin.extensions.physics.nodes.rehearsal import NODE, Settings
-from construction_twin.extensions.physics.process import PROGRAM, Question
+from construction_twin.extensions.physics.process import PROGRAM, RehearsalRequest
 from construction_twin.planning.timing import time_path
 from construction_twin.review.rehearsal_report import BROKEN, FAILED, PASSED, RehearsalReport, finished
 from construction_twin.robot.plan import Plan
@@ -54,25 +54,25 @@ class Process:
     """What rehearses, as the node sees it: it answers at once, or as a test says."""
 
     def __init__(self):
-        self.questions: list[Question] = []
+        self.requests: list[RehearsalRequest] = []
         self.closed = 0
         self.asked, self.interrupted = threading.Event(), threading.Event()
         self.answers = True
         self.error: WorkerError | None = None
         self.interrupts = 0
 
-    def ask(self, name, arm, question: Question) -> RehearsalReport:
+    def ask(self, name, arm, request: RehearsalRequest) -> RehearsalReport:
         assert name == "rehearse"
         self.tool = tool_hash(arm["tool"])
-        self.questions.append(question)
+        self.requests.append(request)
         self.asked.set()
         if self.error is not None:
             raise self.error
         if not self.answers:
             assert self.interrupted.wait(SOON)
             raise WorkerError("", "signal 9")
-        plan = question.plan
-        return finished(RehearsalReport(plan.id, plan.hash, plan.scene, self.tool, question.inputs, PASSED), 0.1)
+        plan = request.plan
+        return finished(RehearsalReport(plan.id, plan.hash, plan.scene, self.tool, request.inputs, PASSED), 0.1)
 
     def interrupt(self) -> None:
         self.interrupts += 1
@@ -143,8 +143,8 @@ class TestWhatIsRehearsed:
         plan = plain_plan()
         bench.hear_plan(plan)
         bench.node.work(0.0)
-        (question,) = bench.process.questions
-        assert (question.plan.hash, set(question.scenes)) == (plan.hash, {SCENES[0].hash})
+        (request,) = bench.process.requests
+        assert (request.plan.hash, set(request.scenes)) == (plan.hash, {SCENES[0].hash})
         found = bench.newest
         assert (found.plan_id, found.plan_hash, found.scene, found.state, found.stamp) == (
             "p", plan.hash, SCENES[0].hash, PASSED, 5,
@@ -154,14 +154,14 @@ class TestWhatIsRehearsed:
         bench.hear_scene()
         bench.hear_plan(work_plan(SCENES))
         bench.node.work(0.0)
-        assert set(bench.process.questions[0].scenes) == {scene.hash for scene in SCENES}
+        assert set(bench.process.requests[0].scenes) == {scene.hash for scene in SCENES}
 
     def test_a_change_that_leads_elsewhere_is_a_broken_rehearsal(self, bench):
         bench.hear_scene()
         bench.hear_plan(work_plan(SCENES), (SceneChange((BUILT,)), *CHANGES[1:]))
         bench.node.work(0.0)
         assert bench.newest.state == BROKEN and SCENES[1].hash in bench.newest.reasons[0]
-        assert bench.process.questions == []
+        assert bench.process.requests == []
 
 
 class TestAPlanThatTheExecutorRefuses:
@@ -188,13 +188,13 @@ class TestMasses:
         bench.hear_scene()
         bench.hear_plan(work_plan(SCENES))
         bench.node.work(0.0)
-        assert bench.process.questions[0].masses == {"beam": 42.0}
+        assert bench.process.requests[0].masses == {"beam": 42.0}
         frame = dataclasses.replace(STOCK, name="tool/frame", link="tool0")
         equipped = Scene((frame,), 0.01)
         bench.hear_scene(equipped)
         bench.hear_plan(dataclasses.replace(plain_plan("p2"), scene=equipped.hash))
         bench.node.work(0.0)
-        assert bench.process.questions[1].masses == {"tool": 18.0}
+        assert bench.process.requests[1].masses == {"tool": 18.0}
         assert bench.newest.tool == tool_hash(bench.settings.tool) != ""
 
     def test_of_what_earlier_tasks_have_placed_and_who_says_none_is_named(self, bench):
@@ -214,7 +214,7 @@ class TestMasses:
             bench.hear_plan(dataclasses.replace(plain_plan(state), scene=scene.hash))
             bench.node.work(0.0)
             hashes.append(bench.newest.inputs)
-        laid, ready = bench.process.questions
+        laid, ready = bench.process.requests
         assert (laid.masses, laid.standing, laid.unweighed) == ({"laid": 3.5}, ("laid",), ("guessed",))
         assert (ready.masses, ready.standing, ready.unweighed) == ({}, (), ("guessed",))
         assert hashes[0] != hashes[1]
@@ -283,7 +283,7 @@ def test_without_mujoco_it_rests_where_nobody_asked_for_it_and_else_does_not_sta
     rests = Unplugged(monkeypatch, NODE, SETTINGS.model_copy(update={"mode": "auto"}), ROBOT)
     rests.callbacks["plan"](plan_to_msg(plain_plan(), "base_link", np.zeros((2, 3))))
     rests.node.work(0.0)
-    assert rests.published["rehearsal"] == [] and bench.process.questions == []
+    assert rests.published["rehearsal"] == [] and bench.process.requests == []
     assert "mujoco" in rests.node.diagnose().sentence
     NODE.check(SETTINGS.model_copy(update={"mode": "auto"}), ROBOT, {})
     with pytest.raises(ConfigurationError):
@@ -297,8 +297,8 @@ def test_the_process_rehearses_a_plan_and_its_result_crosses_the_topic_unchanged
         tool = str(ROOT / "config/tools/vacuum_frame.yaml")
         arm = {"robot": ROBOT, "self_collision": SETTINGS.self_collision, "drives": SETTINGS.drives, "tool": tool}
         plan = plain_plan()
-        question = Question(plan, {SCENES[0].hash: SCENES[0]}, {}, "i")
-        report = process.ask("rehearse", arm=arm, question=question)
+        request = RehearsalRequest(plan, {SCENES[0].hash: SCENES[0]}, {}, "i")
+        report = process.ask("rehearse", arm=arm, request=request)
         assert (report.state, report.plan_hash, report.inputs) == (PASSED, plan.hash, "i"), report.reasons
         assert report.tool == tool_hash(tool)
         assert [axis.joint for axis in report.axes] == list(ROBOT.joint_names)
@@ -308,7 +308,7 @@ def test_the_process_rehearses_a_plan_and_its_result_crosses_the_topic_unchanged
         # a held beam that weighs far more than the arm may carry
         work = work_plan(SCENES)
         scenes = {scene.hash: scene for scene in SCENES}
-        heavy = process.ask("rehearse", arm=arm, question=Question(work, scenes, {"beam": 240.0}, "i"))
+        heavy = process.ask("rehearse", arm=arm, request=RehearsalRequest(work, scenes, {"beam": 240.0}, "i"))
         assert heavy.state == FAILED and heavy.payload.mass == pytest.approx(240.0)
         assert not heavy.payload.estimated and "240.0 kg" in heavy.reasons[0]
     finally:

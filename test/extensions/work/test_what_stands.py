@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from construction_twin.extensions.work import decisions
-from construction_twin.extensions.work.built import pose_tuple
+from construction_twin.extensions.work.as_built import pose_tuple
 from construction_twin.extensions.work.errors import LedgerError
+from construction_twin.extensions.work.layout import Slot, StockPlan
 from construction_twin.extensions.work.ledger import Ledger, read_entries
 from construction_twin.extensions.work.loaded_model import ElementFacts, LoadedModel
 from construction_twin.extensions.work.schedule import Job, Schedule
-from construction_twin.extensions.work.site_scene import Slot, StockPlan
 from construction_twin.extensions.work.task_board import TaskBoard, WorkRefused
 from construction_twin.extensions.work.task_memory import Entry, TaskState
 from construction_twin.kinematics.chain import Pose
@@ -57,10 +57,10 @@ def opened(folder: Path, ready: LoadedModel, name: str = "kr120_deck", robot: st
     times = count(NOW)
     ledger = Ledger(
         folder / f"{name}.jsonl", ready.after, ready.digest, times.__next__, ready.cell, ready.schedule.placing,
-        ready.standing_elements, robot, ready.present,
+        ready.standing_elements, robot, ready.model_elements,
     )  # fmt: skip
     board = TaskBoard(ready, ledger, robot, "tool0")
-    decisions.look_around(board)
+    decisions.ask_about_other_ledgers(board)
     return board
 
 
@@ -82,7 +82,7 @@ def two_placed(tmp_path) -> Path:
 
 
 def row(board: TaskBoard, name: str):
-    (found,) = [row for row in board.report(NOW).tasks if name in (row.id, row.name)]
+    (found,) = [row for row in board.state_report(NOW).tasks if name in (row.id, row.name)]
     return found
 
 
@@ -110,7 +110,7 @@ def test_what_was_deleted_from_the_model_stands_and_is_asked_about_before_anythi
     decisions.answer(board, "ToldB", "stands", "eva", "")
     of_b(board)
     assert board.next(NOW) == "ToldX" and "placed, and not in the model" in row(board, "B").reason
-    assert board.called("set down: oldX/0 would touch oldB/0") == "set down: oldX/0 would touch 'B'"
+    assert board.with_names("set down: oldX/0 would touch oldB/0") == "set down: oldX/0 would touch 'B'"
 
 
 def test_it_is_asked_once_for_each_version_and_stands_over_every_start(two_placed):

@@ -12,14 +12,14 @@ import work_samples
 from construction_twin.core.reports import ExecutionReport
 from construction_twin.extensions.work.following import (
     FINISHED,
-    Followed,
-    after_restart,
-    follow,
-    followed_plan,
-    followed_unseen,
+    PlanActions,
+    actions_by_outcome,
+    events_after_restart,
+    events_of_report,
+    plan_actions,
 )
 from construction_twin.extensions.work.ledger import Ledger
-from construction_twin.extensions.work.received import GripReading, grip_of
+from construction_twin.extensions.work.received_messages import GripReading, grip_of
 from construction_twin.extensions.work.task_memory import PLANNABLE, SETTLED, Entry, TaskMemory, TaskState
 from construction_twin.review.record import PlanRecord
 from construction_twin.robot.segments import Segment, Switch
@@ -28,9 +28,9 @@ from construction_twin.scene.scene_change import SceneChange
 
 HELD_AS = (0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 1.0)
 STANDS = (1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 1.0)
-PLAN = Followed("p1", grips=1, releases=3)
+PLAN = PlanActions("p1", grips=1, releases=3)
 #: As the work node follows it when the topic `plan` has another one by now.
-UNKNOWN_PLAN = Followed("p1", grips=-2, releases=-2)
+UNKNOWN_PLAN = PlanActions("p1", grips=-2, releases=-2)
 #: States of `Execution.msg`.
 IDLE, PLAYING = 1, 2
 OPEN, CLOSED, UNKNOWN = GripReading(True, False), GripReading(True, True), GripReading(False, False)
@@ -87,8 +87,8 @@ class Node:
     def offer(self) -> None:
         self.add(Entry("offered", "stud", "E", offer="o1", grip="top", pose=HELD_AS))
 
-    def hear(self, report: ExecutionReport, grip: GripReading, plan: Followed = PLAN) -> None:
-        for entry in follow(self.memory, plan, report, grip, STANDS):
+    def hear(self, report: ExecutionReport, grip: GripReading, plan: PlanActions = PLAN) -> None:
+        for entry in events_of_report(self.memory, plan, report, grip, STANDS):
             self.add(entry)
 
 
@@ -149,7 +149,7 @@ def test_a_kill_after_any_line_with_everything_else_gone_too(tmp_path, lines, gr
         pass
     again = Node(tmp_path / "ledger")
     before = again.memory.state
-    for entry in after_restart(again.memory, PlanRecord("p1", None), grip):
+    for entry in events_after_restart(again.memory, PlanRecord("p1", None), grip):
         again.add(entry)
     state = again.memory.state
     if before is TaskState.DONE or before is TaskState.RETREATING:
@@ -218,7 +218,7 @@ def test_an_element_that_is_in_the_grip_is_carried_on(tmp_path):
     node.add(Entry("answered", "stud", "E", answer="in_grip", person="eva"))
     assert node.memory.state is TaskState.CARRIED
     node.add(Entry("offered", "stud", "E", offer="o2"))
-    carried = Followed("p2", grips=-1, releases=1)
+    carried = PlanActions("p2", grips=-1, releases=1)
     for report in (
         play(0, plan_id="p2"),
         play(1, True, plan_id="p2"),
@@ -226,7 +226,7 @@ def test_an_element_that_is_in_the_grip_is_carried_on(tmp_path):
         play(2, plan_id="p2"),
         end("finished", plan_id="p2"),
     ):
-        for entry in follow(node.memory, carried, report, CLOSED, STANDS):
+        for entry in events_of_report(node.memory, carried, report, CLOSED, STANDS):
             node.add(entry)
     assert node.memory.state is TaskState.DONE and node.memory.placed
 
@@ -235,7 +235,7 @@ def test_other_plans_are_none_of_its_business(tmp_path):
     node = Node(tmp_path / "ledger")
     run(node, REPORTS[:3])
     for report in (play(0, plan_id="other"), end("", plan_id=""), end("finished", plan_id="other")):
-        assert follow(node.memory, PLAN, report, OPEN) == []
+        assert events_of_report(node.memory, PLAN, report, OPEN) == []
 
 
 @pytest.mark.parametrize(
@@ -255,7 +255,7 @@ def test_what_the_tool_did_before_a_stop_is_written_when_the_engagement_says_so(
     node.add(Entry("offered", "stud", "E1", offer="o1", pose=HELD_AS))
     for event in ["planned", "begun", "gripping", *before]:
         node.add(Entry(event, "stud", "E1", plan="p1", offer="o1"))
-    entries = follow(node.memory, PLAN, end("stopped", segment), CLOSED, STANDS, "measured", confirmed)
+    entries = events_of_report(node.memory, PLAN, end("stopped", segment), CLOSED, STANDS, "measured", confirmed)
     assert [entry.event for entry in entries] == events
     for entry in entries:
         node.add(entry)
@@ -288,15 +288,15 @@ CLOSE, OPEN_IT = (
     ],
 )
 def test_where_a_plan_grips_and_lets_go(ends, in_grip, found):
-    plan = followed_plan("p1", TaskMemory("stud", in_grip=in_grip), *zip(*ends), work_samples.tool().tool)
-    assert plan == Followed("p1", *found)
+    plan = plan_actions("p1", TaskMemory("stud", in_grip=in_grip), *zip(*ends), work_samples.tool().tool)
+    assert plan == PlanActions("p1", *found)
 
 
 def test_of_a_plan_that_is_not_known_any_more_only_a_finish_tells_that_it_let_go():
     held, empty = TaskMemory("stud", in_grip=True), TaskMemory("stud")
-    assert followed_unseen("p1", held, FINISHED) == Followed("p1", -1, 0)
-    assert followed_unseen("p1", empty, FINISHED) == Followed("p1", 0, 0)
-    assert followed_unseen("p1", held, "stopped") == Followed("p1", -2, -2)
+    assert actions_by_outcome("p1", held, FINISHED) == PlanActions("p1", -1, 0)
+    assert actions_by_outcome("p1", empty, FINISHED) == PlanActions("p1", 0, 0)
+    assert actions_by_outcome("p1", held, "stopped") == PlanActions("p1", -2, -2)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from scene_samples import box_triangles
 from visualization_msgs.msg import Marker, MarkerArray
 
-from construction_twin.extensions.work.built import Appearance
+from construction_twin.extensions.work.as_built import Appearance
 from construction_twin.extensions.work.nodes.work import COLOURS, TEXT, work_markers
 from construction_twin.kinematics.chain import Pose
 

@@ -34,7 +34,7 @@ class Server:
 
 
 def keep(memory: StopMemory, session: str, now: int) -> None:
-    memory.keep(session, now)
+    memory.save(session, now)
     wait_until(lambda: not memory.writing)
 
 
@@ -48,7 +48,7 @@ def test_writes_changes_only():
     memory = StopMemory("", server.write)
     for now, session in enumerate(("", "", "s1", "s1", "", "s2", "s2")):
         keep(memory, session, now)
-    assert server.written == ["s1", "", "s2"] and memory.problem == ""
+    assert server.written == ["s1", "", "s2"] and memory.fault == ""
 
 
 def test_the_sentence_of_a_link_travels_as_a_text():
@@ -67,9 +67,9 @@ def test_a_slow_master_holds_nobody_up_and_the_newest_is_written_in_the_end():
     server = Server()
     server.go_on.clear()
     memory = StopMemory("", server.write)
-    memory.keep("s1", 0)
-    memory.keep("", 1)
-    memory.keep("s2", 2)
+    memory.save("s1", 0)
+    memory.save("", 1)
+    memory.save("s2", 2)
     assert server.written == []
     server.go_on.set()
     wait_until(lambda: not memory.writing)
@@ -83,9 +83,9 @@ def test_says_that_it_could_not_be_kept_and_tries_again_after_a_while(error):
     server.away = error
     memory = StopMemory("", server.write)
     keep(memory, "s1", 0)
-    assert "nobody there" in memory.problem
+    assert "nobody there" in memory.fault
     server.away = None
     keep(memory, "s1", NANOSECONDS // 2)
     assert server.written == []
     keep(memory, "s1", NANOSECONDS)
-    assert server.written == ["s1"] and memory.problem == ""
+    assert server.written == ["s1"] and memory.fault == ""

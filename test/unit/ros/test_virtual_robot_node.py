@@ -206,7 +206,7 @@ class Falling:
     def restart(self):
         self.fallen, self.restarts = 0, self.restarts + 1
 
-    def take_model(self, model):
+    def set_model(self, model):
         self.models.append(model)
 
 

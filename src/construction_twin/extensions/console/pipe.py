@@ -91,7 +91,7 @@ class TokenBucket:
         self._updated_at = 0
 
     def spend(self, now: int, amount: float = 1) -> bool:
-        """Use up `amount` tokens; return False, and use up none, where there are fewer."""
+        """Spend `amount` tokens; return False, and spend none, where there are fewer."""
         # a clock that goes back gives nothing
         owed = max(0, self._owed - max(0, now - self._updated_at) * self._rate) + amount * NANOSECONDS
         if owed > self._burst:

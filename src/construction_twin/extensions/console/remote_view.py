@@ -304,9 +304,9 @@ def _part(kind: type[_Part], shown: Shown | None, **known: object) -> _Part | No
     """Return what a view shows of a report: its fields of the same names, where they are not `known` otherwise."""
     if shown is None:
         return None
-    report, given = shown.report, {"state": shown.report.text, "age": shown.age, **known}
+    report, values = shown.report, {"state": shown.report.text, "age": shown.age, **known}
     names = [each.name for each in fields(kind)]  # type: ignore[arg-type]  # a part is a record
-    return kind(**{name: given[name] if name in given else getattr(report, name) for name in names})
+    return kind(**{name: values[name] if name in values else getattr(report, name) for name in names})
 
 
 def _speed(report: SpeedReport | None) -> SpeedView | None:
@@ -322,8 +322,10 @@ def _round_trip_ms(sync: Shown[SyncReport] | None) -> float:
 
 
 def _controller(shown: Shown[LinkReport] | None) -> ControllerView | None:
-    told = shown.report.gateway_counters if shown is not None else {}
-    mode, program, override = (told.get(f"controller_{name}", "") for name in ("mode", "program", "override_percent"))
+    counters = shown.report.gateway_counters if shown is not None else {}
+    mode, program, override = (
+        counters.get(f"controller_{name}", "") for name in ("mode", "program", "override_percent")
+    )
     # the gateway has sent a number, and the bridge has checked that it is a number or a text
     percent = float(override) if _DIGITS.fullmatch(override) else None
     return ControllerView(mode, program, percent) if mode or program or percent is not None else None

@@ -24,9 +24,9 @@ from construction_twin.extensions.physics.mass import (
     GRAVITY,
     STEP,
     MassProperties,
+    combined,
     of_link,
     of_object,
-    together,
 )
 from construction_twin.robot.packages import Packages
 from construction_twin.scene.collision_bodies import Body, RobotBodies, mesh_triangles
@@ -182,7 +182,7 @@ class _Builder:
             part = of_object(pieces)
             parts.append(part.at(pieces[0].placement))
             self._remarks.append(f"mass of {owner} is an estimate from its volume: {part.mass:.1f} kg")
-        return together(parts)
+        return combined(parts)
 
     def _add_shapes(
         self,

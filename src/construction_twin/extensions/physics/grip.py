@@ -84,7 +84,7 @@ class SuctionGrip:
         return loads.max(axis=1) / (self.holds / len(_LIP))
 
 
-class GripWatch:
+class GripLoadRecorder:
     """Records what cups must exert on a workpiece, cycle by cycle; `pieces`: names of its objects, `joint`: above the tip."""
 
     def __init__(
@@ -106,8 +106,8 @@ class GripWatch:
         self._forces: list[np.ndarray] = []
         self._moments: list[np.ndarray] = []
 
-    def note(self, time: float, data: mujoco.MjData) -> None:
-        """Add the last step, at `time` of the plan [s]: its accelerations, and the forces of what the workpiece touched."""
+    def record_step(self, time: float, data: mujoco.MjData) -> None:
+        """Record the last step, at `time` of the plan [s]: its accelerations, and the forces on the workpiece."""
         mujoco.mj_rnePostConstraint(self._model, data)
         moment, force = data.cfrc_int[self._pieces].sum(axis=0).reshape(2, 3)
         rotation = data.xmat[self._holder].reshape(3, 3)

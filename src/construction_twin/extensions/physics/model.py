@@ -21,9 +21,9 @@ from construction_twin.extensions.physics.mass import (
     GRAVITY,
     STEP,
     MassProperties,
+    combined,
     of_link,
     of_object,
-    together,
 )
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.scene.collision_bodies import Body, RobotBodies, is_convex, mesh_triangles
@@ -84,18 +84,18 @@ class PhysicsModel:
         """Return a state at rest with the arm at `q`, shape (n,) [rad] or [m]."""
         data = mujoco.MjData(self.model)
         data.qpos[self.joints] = q
-        self.follow(data)
+        self.set_followers(data)
         mujoco.mj_forward(self.model, data)
         return data
 
-    def follow(self, data: mujoco.MjData) -> None:
-        """Put the joints that follow another where the arm's pose and speed have them."""
+    def set_followers(self, data: mujoco.MjData) -> None:
+        """Set pose and speed of the joints that follow another."""
         for one in self.followers:
             data.qpos[one.place] = one.offset + one.factor * data.qpos[one.leader]
             data.qvel[one.place] = one.factor * data.qvel[one.leader]
 
-    def lead(self, rates: np.ndarray) -> None:
-        """Give the joints that follow the rates that those of their leaders mean, shape (nv,)."""
+    def set_follower_rates(self, rates: np.ndarray) -> None:
+        """Set the rates of the joints that follow another, in `rates` of shape (nv,)."""
         for one in self.followers:
             rates[one.place] = one.factor * rates[one.leader]
 
@@ -296,7 +296,7 @@ class _Builder:
             part = flange.at(frame.placement)
             _set_mass(joints[frame.parentJoint].add_body(name="payload\n"), part)
             parts.append(part)
-        return together(parts) if parts else None
+        return combined(parts) if parts else None
 
     def _add_geoms(self, holder, pieces: Sequence[Body], placed: bool = True) -> None:
         """Add the shapes of a link or an object, with a remark where they are not the planner's, or more than the mesh."""

@@ -92,7 +92,7 @@ def _cached(body: Body, folder: Path) -> tuple[float, list[SceneObject]]:
         # a damaged file, or a mesh that is gone: made anew, and written over
         path.unlink(missing_ok=True)
     folder.mkdir(parents=True, exist_ok=True)
-    reach, descriptions = _made(vertices, triangles, folder)
+    reach, descriptions = _convex_objects(vertices, triangles, folder)
     write_whole(path, json.dumps({"excess": reach, "pieces": descriptions}) + "\n")
     return reach, [_object(item, folder) for item in descriptions]
 
@@ -101,7 +101,7 @@ def _object(item: dict, folder: Path) -> SceneObject:
     return SceneObject("piece", **{**item, "mesh": str((folder / item["mesh"]).absolute()) if item.get("mesh") else ""})
 
 
-def _made(vertices: np.ndarray, triangles: np.ndarray, folder: Path) -> tuple[float, list[dict]]:
+def _convex_objects(vertices: np.ndarray, triangles: np.ndarray, folder: Path) -> tuple[float, list[dict]]:
     if not len(triangles) or not np.isfinite(vertices).all():
         raise WorkError(f"found a body of {len(triangles)} triangles, expected triangles with finite corners")
     if len(triangles) > MOST_TRIANGLES:

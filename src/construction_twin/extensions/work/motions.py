@@ -82,7 +82,7 @@ class Search:
     tool: ToolFile
     budget: float
     clock: Clock
-    make_world: Callable[[Scene], CollisionWorld]
+    build_world: Callable[[Scene], CollisionWorld]
     shapes: Shapes = field(repr=False)
     _worlds: dict[str, CollisionWorld] = field(default_factory=dict, repr=False)
 
@@ -94,7 +94,7 @@ class Search:
     def world(self, scene: Scene) -> CollisionWorld:
         """Return the collision world of a scene."""
         if scene.hash not in self._worlds:
-            self._worlds[scene.hash] = self.make_world(scene)
+            self._worlds[scene.hash] = self.build_world(scene)
         return self._worlds[scene.hash]
 
     def demand_reach(self, pose: Pose, where: str, room: Callable[[], float] = float) -> None:

@@ -147,7 +147,7 @@ class WorkJob:
     task_properties: Mapping[str, Value] = field(default_factory=dict)
 
     @property
-    def called(self) -> str:
+    def label(self) -> str:
         """The element in a sentence."""
         return (
             f"element {self.element.name!r} ({self.element.id})" if self.element.name else f"element {self.element.id}"
@@ -277,7 +277,7 @@ class Recipes:
                 return name
         kind = f"{element.ifc_class} {element.type_name!r}" if element.type_name else element.ifc_class
         to_do = f"add one, or name one in {PROPERTY_SET}"
-        raise TaskPlanningError(job.task, f"no recipe of {self.file} fits {job.called}, {kind}; {to_do}")
+        raise TaskPlanningError(job.task, f"no recipe of {self.file} fits {job.label}, {kind}; {to_do}")
 
     def _overridden(self, job: WorkJob, recipe: Recipe, own: Mapping[str, Value]) -> Recipe:
         overrides = process_of(recipe.process).overrides
@@ -331,5 +331,5 @@ def _recipe(where: str, entry: dict[str, Any]) -> Recipe:
 
 
 def _wrong(job: WorkJob, name: str, value: object, expected: str) -> TaskPlanningError:
-    where = f"{job.called}, {PROPERTY_SET}.{name}"
+    where = f"{job.label}, {PROPERTY_SET}.{name}"
     return TaskPlanningError(job.task, f"{where}: found {value!r}, expected {expected}")

@@ -192,7 +192,7 @@ class _Reading:
         waits = self._all_waits()
         jobs: list[Job] = []
         for identifier, products in self._products.items():
-            task, after, down = self._tasks[identifier], waits[identifier], self._takes_down(identifier)
+            task, after, down = self._tasks[identifier], waits[identifier], self._is_removal(identifier)
             robots = next(filter(None, (self._tasks[at].robots for at in self._above(identifier))), ())
             for number, product in enumerate(products, 1):
                 own = self._job_id(identifier, number)
@@ -201,7 +201,7 @@ class _Reading:
                 jobs.append(Job(own, identifier, task.name, product, () if down else robots, found, process))
                 after = {(own, True): 0.0}
                 self.removals |= {own} if down else set()
-        jobs = self._told_apart(jobs)
+        jobs = self._with_distinct_names(jobs)
         taken_down = {job.element for job in jobs if job.id in self.removals}
         for element in self._elements.values():
             if element.status == "demolish" and element.bodies and element.id not in taken_down:
@@ -220,7 +220,7 @@ class _Reading:
             self.notes.append(f"{said}; the arm leaves them alone.")
         return tuple(jobs)
 
-    def _told_apart(self, jobs: list[Job]) -> list[Job]:
+    def _with_distinct_names(self, jobs: list[Job]) -> list[Job]:
         """Return the jobs, those that share a name with their element's behind it."""
         shared = Counter(job.name for job in jobs)
         found = []
@@ -230,7 +230,7 @@ class _Reading:
             found.append(replace(job, name=f"{job.name}: {element}") if more else job)
         return found
 
-    def _takes_down(self, identifier: str) -> bool:
+    def _is_removal(self, identifier: str) -> bool:
         """Return whether a task removes what is assigned to it: by its kind, or because all of that is to be removed."""
         task = self._tasks[identifier]
         known = [self._elements[one] for one in task.products if one in self._elements]
@@ -298,7 +298,7 @@ class _Reading:
                 if not task.milestone and task.kind == "makes" and not self._is_completed(identifier):
                     idle.append(identifier)
                 continue
-            for element in () if self._takes_down(identifier) else known:
+            for element in () if self._is_removal(identifier) else known:
                 if not self._moves(identifier, element):
                     works.append((identifier, element))
                     continue
@@ -319,7 +319,7 @@ class _Reading:
     def _to_do(self, identifier: str, known: tuple[str, ...]) -> tuple[str, ...]:
         """Return what is left for a task to place or to take down: what stands is not placed again."""
         elements = self._elements
-        if self._takes_down(identifier):
+        if self._is_removal(identifier):
             # what the file calls completed still stands here until a person says that it does not
             return tuple(one for one in self._with_parts(known) if elements[one].bodies)
         if self._tasks[identifier].kind != "makes":
@@ -375,7 +375,7 @@ class _Reading:
         left = {}
         for identifier, elements in found.items():
             left[identifier] = elements
-            if not self._takes_down(identifier):
+            if not self._is_removal(identifier):
                 continue
             if placed := [element for element in elements if element in maker]:
                 said = f"Task {identifier} takes down {first_few(placed)}, which another task places: not read"

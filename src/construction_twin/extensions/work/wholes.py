@@ -51,7 +51,7 @@ _PROJECTS = "IfcProjectionElement"
 
 def parts_of(elements: Mapping[str, Element], whole: str) -> list[str]:
     """Return what is a part of an element, or of a part of it, or what a group holds; nearest first."""
-    return _below(_held(elements)[0], whole)
+    return _below(_dependents(elements)[0], whole)
 
 
 def in_one_piece(
@@ -64,7 +64,7 @@ def in_one_piece(
     """
     placed = {one for task in tasks.values() if task.kind == "makes" for one in task.products}
     named = {one for task in tasks.values() for one in (*task.products, *task.inputs)}
-    parts, guests = _held(elements)
+    parts, guests = _dependents(elements)
     found: dict[str, Element] = {}
     for name in sorted(elements, key=lambda one: len(wholes(elements, one))):
         whole, below = found.get(name, elements[name]), _below(parts, name)
@@ -122,7 +122,7 @@ def comes_after(elements: Mapping[str, Element], placed: Collection[str]) -> dic
     return found
 
 
-def _held(elements: Mapping[str, Element]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
+def _dependents(elements: Mapping[str, Element]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
     """Return the parts or members of elements, and what is on them."""
     parts: dict[str, list[str]] = defaultdict(list)
     guests: dict[str, list[str]] = defaultdict(list)

@@ -47,16 +47,18 @@ def sentence_of(message: genpy.Message, text: str) -> str:
 
 
 def _sentences_of(message: genpy.Message) -> Mapping[str, Sentence]:
-    return _heard(getattr(message, "said", ""))
+    return _parsed_sentences(getattr(message, "said", ""))
 
 
 @functools.lru_cache(maxsize=64)
-def _heard(said: str) -> Mapping[str, Sentence]:
+def _parsed_sentences(said: str) -> Mapping[str, Sentence]:
     return sentences_of(json.loads(said)) if said else {}
 
 
 def _record(kind: Any, message: Any, known: Mapping[str, Sentence]) -> Any:
-    return kind(**{name: _read(hint, _value(message, name), known) for name, hint in _hints(kind, type(message))})  # type: ignore[arg-type]  # a class is hashable
+    return kind(
+        **{name: _record_value(hint, _value(message, name), known) for name, hint in _hints(kind, type(message))}
+    )  # type: ignore[arg-type]  # a class is hashable
 
 
 def _message(record: Any, kind: type[genpy.Message]) -> Any:
@@ -65,9 +67,9 @@ def _message(record: Any, kind: type[genpy.Message]) -> Any:
     for each in fields(record):
         value = getattr(record, each.name)
         if each.name in slots:
-            setattr(message, each.name, _written(value, slots[each.name]))
+            setattr(message, each.name, _ros_value(value, slots[each.name]))
         elif each.name == "stamp" and "header" in slots:
-            message.header.stamp = _written(value, "time")
+            message.header.stamp = _ros_value(value, "time")
     return message
 
 
@@ -82,14 +84,14 @@ def _value(message: Any, name: str) -> Any:
     return message.header.stamp if name == "stamp" and hasattr(message, "header") else getattr(message, name)
 
 
-def _read(hint: Any, value: Any, known: Mapping[str, Sentence]) -> Any:
+def _record_value(hint: Any, value: Any, known: Mapping[str, Sentence]) -> Any:
     if isinstance(value, str):
         return known.get(value, value)
     if isinstance(value, (genpy.Time, genpy.Duration)):
         return value.to_nsec()
     if get_origin(hint) is tuple:
         (item, *_) = get_args(hint)
-        return tuple(_read(item, each, known) for each in value)
+        return tuple(_record_value(item, each, known) for each in value)
     if isinstance(value, (list, tuple)):
         return {pair.key: pair.value for pair in value}
     if is_dataclass(hint):
@@ -99,11 +101,11 @@ def _read(hint: Any, value: Any, known: Mapping[str, Sentence]) -> Any:
     return value
 
 
-def _written(value: Any, kind: str) -> Any:
+def _ros_value(value: Any, kind: str) -> Any:
     if kind.endswith("[]"):
         if isinstance(value, Mapping):
             return [KeyValue(*pair) for pair in value.items()]
-        return [_written(each, kind[:-2]) for each in value]
+        return [_ros_value(each, kind[:-2]) for each in value]
     if kind == "time":
         return genpy.Time(*divmod(value, NANOSECONDS))
     if is_dataclass(value):

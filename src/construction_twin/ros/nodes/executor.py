@@ -67,7 +67,7 @@ class Settings(NodeSettings, Permission):
     speed_limit_required: bool
 
 
-def _do(_what: str, part: Callable[..., _Result], *arguments: object) -> _Result:
+def _run_unguarded(_what: str, part: Callable[..., _Result], *arguments: object) -> _Result:
     """Call a part whose failure ends the node, as everywhere else."""
     return part(*arguments)
 
@@ -230,7 +230,7 @@ class ExecutorNode:
                 "the forecast of a stop", lambda: braking.forecast(lambda: time.sleep(PAUSE)).text(self._robot)
             )
             sentence = join_sentences(sentence, forecast or Sentence("how far it goes on is not known"))
-        return self._answered("stop", sentence, rospy.logwarn)
+        return self._log_answer("stop", sentence, rospy.logwarn)
 
     def on_stop_plan(self, request: srv.StopPlanRequest) -> str:
         """Brake one plan on its path; what waits is left alone."""
@@ -238,17 +238,17 @@ class ExecutorNode:
         with self._lock:
             asked = Sentence("stop requested by {client}", client=caller)
             sentence = self.executor.stop_plan(request.plan_id, asked, self._now())
-        return self._answered("stop_plan", sentence, rospy.logwarn)
+        return self._log_answer("stop_plan", sentence, rospy.logwarn)
 
     def on_pause(self, _request) -> str:
         """Brake on the path and keep the plan."""
         with self._lock:
             sentence = self.executor.pause(self._now())
-        return self._answered("pause", sentence)
+        return self._log_answer("pause", sentence)
 
     def on_resume(self, _request) -> str:
         """Go on after a pause."""
-        return self._answered("resume", self._approval.resume())
+        return self._log_answer("resume", self._approval.resume())
 
     def on_act_as_seen(self, request: srv.ActAsSeenRequest) -> str:
         """Stop or pause; or go on, unless what the person's screen had shown is too old, or older than a pause or stop."""
@@ -257,16 +257,16 @@ class ExecutorNode:
         if request.act == "pause":
             return self.on_pause(request)
         if request.act == "resume":
-            return self._answered("resume", self._approval.resume(parse_moment(request.moment)))
+            return self._log_answer("resume", self._approval.resume(parse_moment(request.moment)))
         raise PayloadError("act", f"{request.act!r} is nothing that is done here")
 
     def on_release(self, request: srv.ReleaseEngagementRequest) -> str:
         """Take a person's word that the arm was freed."""
         sentence = self._approval.release(request.person.strip(), request.reason.strip())
-        return self._answered("release_engagement", sentence, rospy.logwarn)
+        return self._log_answer("release_engagement", sentence, rospy.logwarn)
 
-    def _answered(self, request: str, sentence: str, write: Callable[..., None] | None = None) -> str:
-        """Have what was carried out written to the log, after the answer."""
+    def _log_answer(self, request: str, sentence: str, write: Callable[..., None] | None = None) -> str:
+        """Log what was carried out, after the answer."""
         self.side_effects.run("the log", self._log_queue.add, write or rospy.loginfo, "%s: %s", request, sentence)
         return sentence
 
@@ -281,7 +281,7 @@ class ExecutorNode:
         """Do what may wait, every `BACKGROUND_PERIOD`; an error of a record is said and tried again."""
         self.write_records()
         # where a stop leaves the arm is written down here
-        self.side_effects.run("the engagement", self.keep_engagement)
+        self.side_effects.run("the engagement", self.save_engagement)
         with self._lock:
             self.executor.under_review.scene_alive = self._node_io.connections("scene") > 0
         self._approval.update_obstacle()
@@ -299,8 +299,8 @@ class ExecutorNode:
         self.side_effects.write(rospy.logerr)
         self.side_effects.run("the record", self._disk.write, "the record", self._log.flush)
 
-    def keep_engagement(self) -> None:
-        """Write down where the arm is about to be, or was left, and tell the planner; not for the path of the setpoints."""
+    def save_engagement(self) -> None:
+        """Save where the arm is about to be, or was left, and publish it; not for the path of the setpoints."""
         if (engagement := self._disk.save_engagement()) is not None:
             self._publish("engagement", engagement_to_msg(*engagement))
 
@@ -327,7 +327,7 @@ class ExecutorNode:
         """
         executor = self.executor
         with self._lock:
-            run = self.side_effects.run if executor.pop_act_flag() else _do
+            run = self.side_effects.run if executor.pop_act_flag() else _run_unguarded
             events, orders = executor.pop_events(), executor.pop_orders()
             news = run("the executor's state", self._news.pop_report, lambda: (now_ns(), str(present_moment())))
             report, lines = news or (None, ())

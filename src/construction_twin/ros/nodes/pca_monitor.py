@@ -65,7 +65,7 @@ class Settings(NodeSettings, GateSettings):
 
     @pydantic.model_validator(mode="before")
     @classmethod
-    def _says_how_strict_it_is(cls, given: dict) -> dict:
+    def _require_every_setting(cls, given: dict) -> dict:
         for name in GateSettings.model_fields.keys() - {"thresholds"} - given.keys():
             raise ConfigurationError(name, None, "this key")
         return given
@@ -87,10 +87,10 @@ class SpeedLimitService:
 
     def __init__(self, path: Path | None, node_io: shell.NodeIO):
         # the stricter of what executor and gateway are told holds here; without an arm there is no gateway
-        told = {
+        rule_parameters = {
             name: node_io.parameters[name] for name in ("executor", "gateway") if node_io.parameters[name] is not None
         }
-        rules = [settings_of(Rules, given, rospy.resolve_name(name)) for name, given in told.items()]
+        rules = [settings_of(Rules, given, rospy.resolve_name(name)) for name, given in rule_parameters.items()]
         deadline = min(each.speed_limit_deadline for each in rules)
         silent = min(each.speed_limit_silent for each in rules)
         program = SpeedLimit(deadline, silent, rules[0].speed_limit_required)
@@ -102,7 +102,7 @@ class SpeedLimitService:
         people, problem = read_people(path) if path else (NOBODY, "")
         self._limits = SpeedLimits(program, people, present_moment(), problem)
         # what the file holds, and a lock that is held while the disk is waited for
-        self._path, self._kept, self._file_problem, self._file_lock = path, people, "", threading.Lock()
+        self._path, self._saved_people, self._file_problem, self._file_lock = path, people, "", threading.Lock()
         self._in_force, self._changes = (node_io.publishers[name] for name in ("speed_limit_in_force", "speed_change"))
         self._refuse = node_io.diagnostics.refuse
         # also orders what is published: the last message is what was decided last
@@ -143,12 +143,12 @@ class SpeedLimitService:
         """Write what people have set, where the file does not hold it; for a thread that may wait for a disk."""
         with self._file_lock:
             # an unreadable file stays as it is until a person has set a limit
-            if self._limits.people != self._kept:
+            if self._limits.people != self._saved_people:
                 self._write(self._limits.people)
 
     def _write(self, people: SpeedChange) -> None:
         self._file_problem = write_people(self._path, people) if self._path else ""
-        self._kept = UNKNOWN if self._file_problem else people
+        self._saved_people = UNKNOWN if self._file_problem else people
 
     def repeat(self) -> None:
         """Publish what is in force again, and notice a program's silence; to be called every `LIMIT_PERIOD`."""
@@ -157,7 +157,7 @@ class SpeedLimitService:
             self._publish()
             # it changes seldom, however often the limit does
             memory = f"{int(100 * program.fraction_when_silent) / 100:g} {program.name}" if program.name else ""
-        self._memory.keep(memory, time.monotonic_ns())
+        self._memory.save(memory, time.monotonic_ns())
 
     def _publish(self) -> None:
         if report := self._limits.state_report(time.monotonic_ns()):
@@ -171,7 +171,7 @@ class SpeedLimitService:
         limit, reason = (said.limit, said.reason) if said else (1.0, program.reason)
         values = {"speed limit": f"{limit:.3f}", "speed limit because": reason}
         slow = program.state in (LimitState.SILENT, LimitState.MISSING)
-        problem = self._file_problem or self._memory.problem
+        problem = self._file_problem or self._memory.fault
         level = ERROR if problem or self._limits.problem else WARN if slow else OK
         return Diagnosis(level, problem or f"speed limit {limit:g}: {reason}", values)
 
@@ -182,7 +182,7 @@ class PcaMonitorNode:
     def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
         # without an arm there is no broker, and nobody could raise what was set before
         has = shell.has_arm(settings)
-        kept = ros_home() / "construction_twin" / "speed_limits" / f"{robot.name}.json" if has else None
+        limits_file = ros_home() / "construction_twin" / "speed_limits" / f"{robot.name}.json" if has else None
         stopped_in, now = node_io.parameters[PARAMETER] if has else "", time.monotonic_ns()
         self._names, self._publishers, self._diagnostics = robot.joint_names, node_io.publishers, node_io.diagnostics
         self._command = node_io.publishers["command/joint_states"]
@@ -195,13 +195,13 @@ class PcaMonitorNode:
         self._transitions = TransitionLog(transitions, robot.joint_names)
         self._plan_to_joints = rospy.ServiceProxy("plan_to_joints", srv.PlanToJoints)
         self._stopped = StopMemory(stopped_in, node_io.parameter_writer(PARAMETER))
-        self.speed = SpeedLimitService(kept, node_io)
+        self.speed = SpeedLimitService(limits_file, node_io)
         self._lock = threading.Lock()
-        self._heard = 0
+        self._received_at = 0
         #: As it was told last; empty: not yet.
         self._hold: tuple[Cause | None, ...] = ()
         self._changes: deque[Transition] = deque()
-        self._said = DeferredLog()
+        self._log_queue = DeferredLog()
         # each from making a message until it is out: several threads publish, and the newest state must be the last one heard
         self._syncing, self._reporting = threading.Lock(), threading.Lock()
 
@@ -212,7 +212,7 @@ class PcaMonitorNode:
         now = time.monotonic_ns()
         with self._lock:
             command = self._gate.pass_next(stamp, theta_next, now)
-            self._note_changes()
+            self._collect_changes()
         if command is not None:
             self._command.publish(stamp, command)
         self._publish(now)
@@ -222,14 +222,14 @@ class PcaMonitorNode:
         now = time.monotonic_ns()
         with self._lock:
             self._gate.watch(now)
-            self._note_changes()
+            self._collect_changes()
             stopped_in = self._monitor.stopped_in
         self._publish(now)
-        self._stopped.keep(stopped_in, now)
+        self._stopped.save(stopped_in, now)
 
     def write_transitions(self) -> None:
         """Write the transitions to their logs, in a thread of its own: a disk that hangs must not silence `sync`."""
-        self._said.flush()
+        self._log_queue.flush()
         self._transitions.flush()
         if self._transitions.fault:
             rospy.logerr_throttle(5.0, "%s", self._transitions.fault)
@@ -244,10 +244,10 @@ class PcaMonitorNode:
         now = time.monotonic_ns()
         # what waited in a queue is not fresh because it is read now. Both stamps are taken moments apart: a clock that is
         # set makes a single pose look old, never the ones before it
-        self._heard = max(self._heard, now - max(now_ns() - received, 0))
+        self._received_at = max(self._received_at, now - max(now_ns() - received, 0))
         with self._lock:
-            self._gate.on_physical(q, command_stamp, self._heard, received, seq)
-            self._note_changes()
+            self._gate.on_physical(q, command_stamp, self._received_at, received, seq)
+            self._collect_changes()
             servos = self._gate.servo_watch
             expected = servos.expected if servos is not None else ()
         if self._changes:
@@ -260,14 +260,14 @@ class PcaMonitorNode:
         """Take the link's state; a new session restarts the gate."""
         with self._lock:
             self._monitor.on_link(message.session, message.state == msg.Link.MIRROR, time.monotonic_ns())
-            self._note_changes()
+            self._collect_changes()
 
     def on_configure(self, request: srv.ConfigureGateRequest) -> str:
         """Change settings of the gate, at rest only."""
         now = time.monotonic_ns()
         with self._lock:
             changed = self._monitor.configure(request.operator, request.settings, now)
-            self._note_changes()
+            self._collect_changes()
         self._publish(now)
         return changed
 
@@ -292,8 +292,8 @@ class PcaMonitorNode:
         with self._lock:
             self._monitor.on_execution(message.plan_id, executing, playing, message.moment)
 
-    def _note_changes(self) -> None:
-        """Take over the gate's transitions, and ask for a plan beside the stream; under the lock, before a change can be heard."""
+    def _collect_changes(self) -> None:
+        """Collect the gate's transitions, and ask for a plan beside the stream; under the lock, before a change can be heard."""
         if not self._gate.transitions:
             return
         changes, replan = self._monitor.pop_transitions()
@@ -326,7 +326,7 @@ class PcaMonitorNode:
         now = time.monotonic_ns()
         with self._lock:
             self._monitor.on_replan_failed(replan, problem, now)
-            self._note_changes()
+            self._collect_changes()
         self._publish(now)
 
     # -- reports
@@ -348,9 +348,9 @@ class PcaMonitorNode:
         if self._changes:
             with self._reporting:
                 while self._changes:
-                    self._report(self._changes.popleft())
+                    self._publish_transition(self._changes.popleft())
 
-    def _report(self, change: Transition) -> None:
+    def _publish_transition(self, change: Transition) -> None:
         self._transitions.add(change)
         message = msg.Transition(
             from_text=change.source.name,
@@ -365,11 +365,11 @@ class PcaMonitorNode:
             message.error, message.threshold = change.comparison.error, change.comparison.threshold
         self._publishers["transitions"].publish(message)
         warns = rospy.logwarn if change.target in _WARNED else rospy.loginfo
-        self._said.add(rospy.logerr if change.target in _SERIOUS else warns, "%s", change)
+        self._log_queue.add(rospy.logerr if change.target in _SERIOUS else warns, "%s", change)
 
     def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
-        gate, speed, problem = self._gate, self.speed.diagnose(), self._transitions.fault or self._stopped.problem
+        gate, speed, problem = self._gate, self.speed.diagnose(), self._transitions.fault or self._stopped.fault
         level = ERROR if gate.state in _SERIOUS else OK if gate.state is SyncState.IN_SYNC else WARN
         limited = speed.sentence if speed.level != OK else ""
         sentence = "; ".join(filter(None, (f"{gate.state.name}: {gate.reason}", problem, limited)))

@@ -52,7 +52,7 @@ OTHER_POSE_AGE = 0.5
 #: A joint that is no further from a path is on it [rad] or [m]; the paddings cover that.
 ON_PATH = 0.01
 #: Plans kept: the one that is played, the one under review, and a few that were replaced meanwhile.
-_KEPT = 8
+_MAX_PLANS = 8
 
 
 class NeighbourSettings(NodeSettings):
@@ -142,7 +142,7 @@ class ArmListener:
         with self._lock:
             self._plans[plan.id], self.newest = (plan, carried), plan
             playing = "" if self._execution is None else self._execution.plan_id
-            for plan_id in [*self._plans][:-_KEPT]:
+            for plan_id in [*self._plans][:-_MAX_PLANS]:
                 if plan_id != playing:
                     del self._plans[plan_id]
 

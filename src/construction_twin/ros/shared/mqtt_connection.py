@@ -15,7 +15,7 @@ from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.node_shell import Shared
 from construction_twin.ros.shared.params import NodeSettings
-from construction_twin.ros.shared.start_refusal import launch
+from construction_twin.ros.shared.start_refusal import launch_id
 
 #: How long a node waits before it says that the broker is gone [s]: one Ctrl-C ends both, and the broker is often first.
 GRACE = 1.0
@@ -42,8 +42,8 @@ def check_broker(settings: MqttSettings, _robot: RobotModel, _shared: Shared) ->
 
 
 def connection_log(broker: Broker) -> ConnectionLog:
-    """Return a report that goes to the node's log, from a thread that may wait for a disk; in a launch `startup` says the first."""
-    return ConnectionLog(broker, _log_later, first=not launch())
+    """Return a log that writes to the node's, in a thread that may wait for a disk; in a launch `startup` logs the first."""
+    return ConnectionLog(broker, _log_later, first=not launch_id())
 
 
 def _log_later(sentence: str) -> None:
@@ -88,11 +88,11 @@ def connect(
     log.watch(client)
     client.on_connect = on_connect
     client.on_disconnect = on_disconnect
-    for topic, take in on_message.items():
-        client.message_callback_add(topic, _alone(take))
+    for topic, handler in on_message.items():
+        client.message_callback_add(topic, _message_only(handler))
     client.connect_async(broker.host, broker.port, broker.keepalive)
     client.loop_start()
 
 
-def _alone(take: Callable[[MQTTMessage], None]) -> Callable[[object, object, MQTTMessage], None]:
-    return lambda _client, _data, message: take(message)
+def _message_only(handler: Callable[[MQTTMessage], None]) -> Callable[[object, object, MQTTMessage], None]:
+    return lambda _client, _data, message: handler(message)

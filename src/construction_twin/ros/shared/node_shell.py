@@ -140,7 +140,7 @@ class PoseSubscription:
 
 @dataclass(frozen=True)
 class PolledPose:
-    """Poses of which the node asks for the newest, now and then: see `LatestPose`."""
+    """A topic of poses, of which the node polls the newest (`LatestPose`)."""
 
     topic: str
     when: When = always
@@ -173,7 +173,7 @@ class Served:
 
 @dataclass(frozen=True)
 class NodeTimer:
-    """What the node does again and again: `period` takes its parameters [s], `act` the node."""
+    """A timer of the node: `period` takes its parameters [s], `act` the node."""
 
     period: Callable[[Any], float]
     act: Callable[[Any], object]
@@ -226,7 +226,7 @@ class NodeIO:
         return self._diagnostics
 
     def parameter_writer(self, name: str) -> Callable[[Any], None]:
-        """Return what writes a shared parameter that is `written`; it may take as long as the master does."""
+        """Return the writer of a shared parameter that is `written`; it may take as long as the master does."""
         assert any(each.written for each in self._interface.parameters if each.name == name), name
         return partial(rospy.set_param, name)
 
@@ -249,7 +249,7 @@ class NodeIO:
         return subscriber.get_num_connections() if subscriber is not None else 0
 
     def unsubscribe(self, topic: str) -> None:
-        """Hear no more of a topic."""
+        """Unsubscribe from a topic."""
         self._subscribers.pop(topic).unregister()
 
     def _timer_callback(self, act: Callable[[Any], object]) -> Callable[[object], object]:

@@ -71,7 +71,7 @@ def caller_of(message) -> str:
 
 
 def report_uncaught() -> None:
-    """Hand the exception that is being handled to `threading.excepthook`, as if it had not been caught in this thread."""
+    """Report the handled exception to `threading.excepthook`, as if nobody had caught it."""
     threading.excepthook(threading.ExceptHookArgs((*sys.exc_info(), threading.current_thread())))
 
 

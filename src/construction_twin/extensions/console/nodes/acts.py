@@ -154,7 +154,7 @@ class _Approvals(RequestQueue):
         self._rejections = rejections
 
     def enqueue(self, request: Incoming) -> None:
-        """Let a verdict wait in its queue."""
+        """Put a verdict into its queue."""
         if request.asked.verdict == "rejected":
             self._rejections.enqueue(request)
         else:

@@ -286,7 +286,7 @@ class NewestQueue:
         return fits
 
     def enqueue(self, request: Incoming) -> None:
-        """Let a request wait in place of its sender's former one, or answer why not."""
+        """Queue a request in place of its sender's former one, or answer why not."""
         with self._news:
             former = self._waiting.get(request.account)
             fits = former is not None or len(self._waiting) < self._most
@@ -344,7 +344,7 @@ class RequestQueue:
         return False
 
     def enqueue(self, request: Incoming) -> None:
-        """Let a request wait for its turn, or answer why not."""
+        """Queue a request, or answer why not."""
         now = _now_ns()
         self._record_answer(request, None)
         try:

@@ -93,7 +93,7 @@ class _NewestReport(Generic[_Report]):
         self._newest: tuple[_Report, float] | None = None
 
     def on_message(self, message: Message) -> _Report:
-        """Keep the report of a message, and return it."""
+        """Store the report of a message, and return it."""
         report = from_msg(self._kind, message)
         self._newest = report, time.monotonic()
         return report
@@ -247,7 +247,7 @@ class ConsoleFeed:
     # -- to MQTT
 
     def republish_retained(self) -> None:
-        """Tell everything again: the broker may have been started anew."""
+        """Publish everything retained again: the broker may have been started anew."""
         with self._publishing:
             self._published_at = float("-inf")
             for topic, payload in self._retained.items():
@@ -302,7 +302,7 @@ class ConsoleFeed:
             return self._writer.write(now_ns(), inputs, moment)
 
     def view_inputs(self) -> ViewInputs:
-        """Return what is known now."""
+        """Return the inputs of the present view."""
         sync, execution, speed = self._sync.shown(SYNC_AGE), self._present_execution(), self._speed.shown(SPEED_AGE)
         with self._lock:
             progress = self._progress.at(now_ns() / NANOSECONDS)

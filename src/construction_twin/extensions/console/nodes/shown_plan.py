@@ -114,10 +114,10 @@ class ShownPlan:
                 self._change(PlanBoard.restart)
             self._session = message.session
 
-    def _change(self, change: Callable[..., None], *given: str) -> None:
+    def _change(self, change: Callable[..., None], *arguments: str) -> None:
         with self._lock:
             for board in (self._board, self._rehearsals):
-                change(board, *given)
+                change(board, *arguments)
         self._publish_plan()
         self.publish_rehearsal()
 
@@ -149,7 +149,7 @@ class ShownPlan:
             self._publish_plan()
 
     def clear_retained(self) -> None:
-        """Take both away: nobody hears a verdict any more."""
+        """Clear both retained messages: nobody hears a verdict any more."""
         for topic in (self._topics.plan, self._topics.rehearsal):
             self._connection.publish(topic, b"", retain=True)
 

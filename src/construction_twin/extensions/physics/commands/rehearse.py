@@ -20,7 +20,7 @@ from construction_twin.core.records import json_value
 from construction_twin.core.share import share_file
 from construction_twin.evaluation.tables import table_console
 from construction_twin.extensions.physics.known_mass import TOOL, body_of, masses_of
-from construction_twin.extensions.physics.process import digest, file_digest, prepared
+from construction_twin.extensions.physics.process import digest, file_digest, load_rehearsal
 from construction_twin.planning.waypoints import plan_waypoints
 from construction_twin.review import rehearsal_report as states
 from construction_twin.robot.description import RobotModel, read_robot_files
@@ -55,7 +55,7 @@ def _rehearse(options: argparse.Namespace) -> int:
     robot = read_robot_files(options.robot_xacro, options.robot_config, options.robot_xacro_args)
     drives = "" if options.drives == "none" else options.drives
     payload = _numbers("--payload", options.payload, "MASS or MASS,X,Y,Z [kg], [m]") if options.payload else []
-    arm = prepared(robot, options.self_collision, drives, options.tool, tuple(payload))
+    arm = load_rehearsal(robot, options.self_collision, drives, options.tool, tuple(payload))
     tool = read_tool(options.tool) if options.tool else None
     scene = read_scene(options.scene)
     if tool is not None:

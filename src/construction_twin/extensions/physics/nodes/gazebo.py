@@ -53,7 +53,7 @@ class GazeboNode:
         self._folder = (ros_home() / "construction_twin" / f"{robot.name}_gazebo").absolute()
         self._refuse = node_io.diagnostics.refuse
         self._scenes: Queue[Scene] = Queue()
-        self._problem = ""
+        self._fault = ""
 
     def on_scene(self, message: SceneMsg) -> None:
         """Take a scene."""
@@ -71,7 +71,7 @@ class GazeboNode:
             except Empty:
                 continue
             except (ConstructionTwinError, OSError) as error:
-                self._problem = str(error)
+                self._fault = str(error)
                 self._refuse("world", str(error))
                 continue
             rospy.loginfo("Gazebo simulates scene %s: %s", scene.hash[:12], path)
@@ -90,8 +90,8 @@ class GazeboNode:
 
     def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
-        if self._problem:
-            return Diagnosis(ERROR, self._problem)
+        if self._fault:
+            return Diagnosis(ERROR, self._fault)
         return Diagnosis(WARN, "Gazebo is started when the scene is known")
 
 

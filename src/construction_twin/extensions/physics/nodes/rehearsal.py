@@ -21,7 +21,7 @@ from construction_twin.core.worker import Worker
 from construction_twin.extensions.physics.drive import read_drives
 from construction_twin.extensions.physics.known_mass import element_masses, tool_mass
 from construction_twin.extensions.physics.mass import payload_of
-from construction_twin.extensions.physics.process import PROGRAM, Question, digest, file_digest
+from construction_twin.extensions.physics.process import PROGRAM, RehearsalRequest, digest, file_digest
 from construction_twin.msg import Plan as PlanMsg
 from construction_twin.msg import Rehearsal, Review, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
@@ -119,7 +119,7 @@ class RehearsalNode:
             self._diagnostics.refuse("scene", str(error))
             return
         with self._news:
-            _put_newest(self._scenes, scene.hash, scene)
+            _store_newest(self._scenes, scene.hash, scene)
             self._news.notify_all()
 
     def on_tasks(self, message: WorkTasks) -> None:
@@ -142,7 +142,7 @@ class RehearsalNode:
         with self._news:
             # the executor may be the first to hear of it
             if job.plan.id not in self._withdrawn:
-                _put_newest(self._jobs, job.plan.id, job)
+                _store_newest(self._jobs, job.plan.id, job)
                 self._supersede()
 
     def on_review(self, message: Review) -> None:
@@ -203,7 +203,7 @@ class RehearsalNode:
                         task=job.plan.task,
                     )
                 )
-            report = self._ask(Question.of(job.plan, scene, job.changes, known, placed, self._constant))
+            report = self._rehearse(RehearsalRequest.of(job.plan, scene, job.changes, known, placed, self._constant))
         except ConstructionTwinError as error:
             why = Sentence("it took longer than {limit:g} s", limit=self._time_limit) if self._late else str(error)
             reasons = (Sentence("the rehearsal broke off: {problem}", problem=why),)
@@ -222,19 +222,19 @@ class RehearsalNode:
         if superseded:
             self._dropped += 1
             return
-        self._tell(replace(report, stamp=now_ns()))
+        self._publish_report(replace(report, stamp=now_ns()))
 
     def _is_ready(self, job: _Job) -> bool:
         """Return whether all is known that a plan is rehearsed with; under the lock."""
         return job.plan.scene in self._scenes and (self._knows_tasks or not job.plan.task)
 
-    def _ask(self, question: Question) -> RehearsalReport:
-        """Have a plan rehearsed, for as long as that may take."""
+    def _rehearse(self, request: RehearsalRequest) -> RehearsalReport:
+        """Rehearse a plan in the other process, within the time limit."""
         limit = threading.Timer(self._time_limit, self._expire)
         limit.daemon = True
         limit.start()
         try:
-            return self._process.ask("rehearse", arm=self._arm, question=question)
+            return self._process.ask("rehearse", arm=self._arm, request=request)
         finally:
             limit.cancel()
 
@@ -244,7 +244,7 @@ class RehearsalNode:
                 self._late = True
                 self._process.interrupt()
 
-    def _tell(self, report: RehearsalReport) -> None:
+    def _publish_report(self, report: RehearsalReport) -> None:
         self._last = report
         self._rehearsed += 1
         self._broken += report.state == BROKEN
@@ -270,7 +270,7 @@ class RehearsalNode:
         return Diagnosis(level, f"plan {last.plan_id}: {word}: {first_reason(last.reasons)}", values)
 
 
-def _put_newest(kept: dict, key: str, value: object) -> None:
+def _store_newest(kept: dict, key: str, value: object) -> None:
     """Put a value last, and forget the oldest."""
     kept.pop(key, None)
     kept[key] = value

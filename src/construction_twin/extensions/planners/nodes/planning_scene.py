@@ -48,24 +48,24 @@ class PlanningScenePublisher:
         self._self_collision = self_collision
         self._publisher = publisher
         self._robot_name = parse_urdf(robot.urdf).name
-        self._told: set[str] = set()
+        self._published: set[str] = set()
         self._carried: set[str] = set()
 
     def publish(self, scene: Scene, stamp: genpy.Time) -> None:
         """Publish a scene that was checked before."""
-        told = planner_scene(self._bodies, scene, self._self_collision)
-        carried = {item.name for item in told.objects if item.carried}
-        gone, put_down = self._told - set(scene.names), self._carried - carried
+        scene_of_planner = planner_scene(self._bodies, scene, self._self_collision)
+        carried = {item.name for item in scene_of_planner.objects if item.carried}
+        gone, put_down = self._published - set(scene.names), self._carried - carried
         if gone or put_down:
-            change = planning_scene_message(self._types, told, self._robot_name, stamp, gone, put_down)
+            change = planning_scene_message(self._types, scene_of_planner, self._robot_name, stamp, gone, put_down)
             self._publisher.publish(change)
-        self._told, self._carried = set(scene.names), carried
-        self._publisher.publish(planning_scene_message(self._types, told, self._robot_name, stamp))
+        self._published, self._carried = set(scene.names), carried
+        self._publisher.publish(planning_scene_message(self._types, scene_of_planner, self._robot_name, stamp))
 
 
 def planning_scene_message(
     types: MoveitTypes,
-    told: PlannerScene,
+    scene_of_planner: PlannerScene,
     robot_name: str,
     stamp: genpy.Time,
     gone: Collection[str] = (),
@@ -85,7 +85,7 @@ def planning_scene_message(
         removed = moveit.AttachedCollisionObject()
         removed.object.id, removed.object.operation = name, moveit.CollisionObject.REMOVE
         attached.append(removed)
-    for item in told.objects:
+    for item in scene_of_planner.objects:
         thing = _object(types, item, stamp)
         if item.carried:
             attached.append(
@@ -95,10 +95,10 @@ def planning_scene_message(
             message.world.collision_objects.append(thing)
     message.world.collision_objects += _removed(types, gone)
     matrix = message.allowed_collision_matrix
-    matrix.entry_names = list(told.names)
-    matrix.entry_values = [moveit.AllowedCollisionEntry(enabled=row.tolist()) for row in told.allowed]
-    matrix.default_entry_names = list(told.fixed_links)
-    matrix.default_entry_values = [True] * len(told.fixed_links)
+    matrix.entry_names = list(scene_of_planner.names)
+    matrix.entry_values = [moveit.AllowedCollisionEntry(enabled=row.tolist()) for row in scene_of_planner.allowed]
+    matrix.default_entry_names = list(scene_of_planner.fixed_links)
+    matrix.default_entry_values = [True] * len(scene_of_planner.fixed_links)
     return message
 
 

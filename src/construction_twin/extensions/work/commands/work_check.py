@@ -35,7 +35,7 @@ from construction_twin.core.share import share_file
 from construction_twin.core.worker import Worker, WorkerError, rss_mb
 from construction_twin.evaluation.tables import table_console
 from construction_twin.extensions.work.loaded_model import WORKER, LoadedModel
-from construction_twin.extensions.work.site import read_site
+from construction_twin.extensions.work.work_cell import read_work_cell
 from construction_twin.robot.description import read_robot_files
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def check_all(processes: int, console: Console | None = None, robot_name: str = 
     Args:
         console: Shows how many are done.
         robot_name: Empty: any. The others' elements are placed in their turn, too.
-        given: What `worker_functions.prepare` takes.
+        given: What `worker_functions.load_model` takes.
 
     Raises:
         WorkerError: With an empty `kind` if a process was ended, by want of memory for instance.
@@ -111,8 +111,8 @@ def check_all(processes: int, console: Console | None = None, robot_name: str = 
     with ThreadPoolExecutor(processes) as threads:
         try:
             # the others find in the cache what the first has read
-            loaded: LoadedModel = workers[0].ask("prepare", **given)
-            list(threads.map(lambda worker: worker.ask("prepare", **given), workers[1:]))
+            loaded: LoadedModel = workers[0].ask("load_model", **given)
+            list(threads.map(lambda worker: worker.ask("load_model", **given), workers[1:]))
             for worker in workers:
                 idle.put(worker)
             jobs = enumerate(loaded.schedule.jobs)
@@ -186,7 +186,7 @@ def cell_picture(tasks: Sequence[CheckedTask], loaded: LoadedModel) -> bytes:
     """Return a PNG of the cell from above: base, stock, places, and the tool's paths."""
     figure = Figure(figsize=(9, 7), dpi=100)
     axes = figure.add_subplot()
-    for item in read_site(loaded.cell).scene.objects:
+    for item in read_work_cell(loaded.cell).scene.objects:
         if item.shape == "box" and max(item.size[:2]) < 8.0:
             corners = np.array([(*side, 0.0) for side in _SQUARE]) * item.size / 2.0
             seen = corners @ item.pose.rotation.T + item.pose.position

@@ -110,22 +110,22 @@ def shapes(
     openings: Mapping[int, Sequence[tuple[_Entity, bool]]],
     unit: float,
     notes: Notes,
-    take_log: Callable[[_Entity], None],
+    read_log: Callable[[_Entity], None],
 ) -> Iterator[Shape]:
     """Make the bodies of products; one of which nothing is made has none, and is doubted.
 
     Args:
         openings: What is cut from a product, by its id; True: an opening of its own, else of what it is a part of.
         unit: Metres per length unit.
-        take_log: Called with a product when the kernel has made what it can of it.
+        read_log: Called with a product when the kernel has made what it can of it.
     """
     cuts = {each.id(): body for given in openings.values() for each, _ in given if (body := body_of(each)) is not None}
     counts: dict[int, int] = {}
     for representation in (*bodies.values(), *cuts.values()):
         _count(name, representation, counts)
-    holes = {made.id: made for made in _made(file, name, cuts, take_log)}
+    holes = {made.id: made for made in _kernel_shapes(file, name, cuts, read_log)}
     missing = dict(bodies)
-    for made in _made(file, name, bodies, take_log):
+    for made in _kernel_shapes(file, name, bodies, read_log):
         representation = bodies[made.id]
         given = [(each.id(), own) for each, own in openings.get(made.id, ()) if each.id() in cuts]
         try:
@@ -144,7 +144,7 @@ def shapes(
 
 
 @dataclass(frozen=True)
-class _Made:
+class _KernelShape:
     """What the kernel made of a product: triangles, and for each of them the number of the item that it is of."""
 
     id: int
@@ -154,10 +154,10 @@ class _Made:
     matrix: np.ndarray
 
 
-def _made(
-    file: ifcopenshell.file, name: str, bodies: Mapping[int, _Entity], take_log: Callable[[_Entity], None]
-) -> Iterator[_Made]:
-    """Give what the kernel makes of representations, nothing cut out; only what has triangles."""
+def _kernel_shapes(
+    file: ifcopenshell.file, name: str, bodies: Mapping[int, _Entity], read_log: Callable[[_Entity], None]
+) -> Iterator[_KernelShape]:
+    """Yield the kernel's shapes of representations that have triangles, openings still filled."""
     total = 0
     for number, representation in bodies.items():
         product = file.by_id(number)
@@ -166,7 +166,7 @@ def _made(
         except RuntimeError:
             continue
         finally:
-            take_log(product)
+            read_log(product)
         mesh = shape.geometry
         vertices = np.frombuffer(mesh.verts_buffer, dtype=np.float64).reshape(-1, 3).copy()
         triangles = np.frombuffer(mesh.faces_buffer, dtype=np.int32).reshape(-1, 3).copy()
@@ -180,11 +180,11 @@ def _made(
         if len(triangles):
             owners = np.frombuffer(mesh.item_ids_buffer, dtype=np.int32).copy()
             matrix = np.array(shape.transformation.matrix, dtype=float).reshape(4, 4, order="F")
-            yield _Made(number, vertices, triangles, owners, matrix)
+            yield _KernelShape(number, vertices, triangles, owners, matrix)
 
 
 def _shape(
-    made: _Made, items: list[_Entity], openings: Sequence[tuple[int, bool]], holes: Mapping[int, _Made],
+    made: _KernelShape, items: list[_Entity], openings: Sequence[tuple[int, bool]], holes: Mapping[int, _KernelShape],
     unit: float, about: str, notes: Notes,
 ) -> Shape:  # fmt: skip
     bodies = tuple(_bodies(made, [] if openings else items, about, notes))
@@ -229,7 +229,9 @@ def _is_simple(body: Body) -> bool:
     return abs((whole - cavities).volume() - body.volume) <= _ROUNDING * body.volume
 
 
-def _cut(shape: Shape, openings: Sequence[tuple[int, bool]], holes: Mapping[int, _Made]) -> list[manifold3d.Manifold]:
+def _cut(
+    shape: Shape, openings: Sequence[tuple[int, bool]], holes: Mapping[int, _KernelShape]
+) -> list[manifold3d.Manifold]:
     """Return the bodies less openings; none where one cannot be cut out, or is the element's own and takes nothing away, or all."""
     solids = [one for body in shape.bodies if (one := solid(body.vertices, body.triangles)) is not None]
     if len(solids) < len(shape.bodies) or shape.model_T_shape is None:
@@ -287,7 +289,7 @@ def box(points: np.ndarray) -> Body:
     return Body(vertices, triangles.astype(np.int32))
 
 
-def _bodies(made: _Made, items: list[_Entity], about: str, notes: Notes) -> Iterator[Body]:
+def _bodies(made: _KernelShape, items: list[_Entity], about: str, notes: Notes) -> Iterator[Body]:
     copies = Counter(item.id() for item in items)
     for owner in dict.fromkeys(made.owners.tolist()):
         part = made.triangles[made.owners == owner]

@@ -21,7 +21,7 @@ import numpy as np
 from construction_twin.core.files import read_file
 from construction_twin.extensions.work.building import Body, BuildingModel, Element, Task
 from construction_twin.extensions.work.errors import BuildingError
-from construction_twin.extensions.work.ifc.doubts import ABOUT_ALL, Doubts, entries
+from construction_twin.extensions.work.ifc.doubts import ABOUT_ALL, Doubts, parse_log
 from construction_twin.extensions.work.ifc.geometry import NO_UNIT_CODES, Shape, body_of, bounds, shapes
 from construction_twin.extensions.work.ifc.notes import Misread, Notes, Where, label
 from construction_twin.extensions.work.ifc.properties import (
@@ -121,8 +121,8 @@ class _Reader:
         #: Ids by the numbers of the products.
         self.ids: dict[int, str] = {}
 
-    def note_coordinates(self) -> None:
-        """Note what of the coordinate systems is left out: the map's, and the one of the model's context."""
+    def record_ignored_coordinates(self) -> None:
+        """Note the ignored coordinate systems: of the map, and of the model's context."""
         for conversion in () if self.file.schema == "IFC2X3" else self.file.by_type("IfcMapConversion"):
             with Where(self.name, conversion):
                 shift = [conversion.Eastings, conversion.Northings, conversion.OrthogonalHeight]
@@ -161,7 +161,7 @@ class _Reader:
                     self.doubts.everything = f"{ABOUT_ALL}: {error}"
                 if (body := body_of(product)) is not None:
                     bodies[product.id()] = body
-                    self._note_more(product, body, self.ids[product.id()])
+                    self._record_ignored_shapes(product, body, self.ids[product.id()])
         openings = {
             product.id(): [
                 (opening, each is product)
@@ -171,7 +171,7 @@ class _Reader:
             for product in products
         }
         unit, notes = self.units.length, self.notes
-        found = shapes(self.file, self.name, bodies, openings, unit, notes, self._take_kernel_log)
+        found = shapes(self.file, self.name, bodies, openings, unit, notes, self._record_kernel_log)
         made = {shape.id: shape for shape in found}
         for number, shape in made.items():
             if not shape.doubt and number in self.doubts.shapes:
@@ -195,8 +195,8 @@ class _Reader:
         self.ids = {entity: element for entity, element in self.ids.items() if element in elements}
         return elements
 
-    def _note_more(self, product: _Entity, body: _Entity, element_id: str) -> None:
-        """Note what else a product says of its shape: bodies beside the one that is taken, openings without one."""
+    def _record_ignored_shapes(self, product: _Entity, body: _Entity, element_id: str) -> None:
+        """Note ignored bodies beside the first one, and openings without a body."""
         about = product.Name or element_id
         same = [
             each
@@ -210,9 +210,9 @@ class _Reader:
         if any(body_of(opening) is None for opening in self.relations.openings.get(product.id(), ())):
             self.notes.add("Openings without a body are not cut out", about, element_id)
 
-    def _take_kernel_log(self, product: _Entity) -> None:
-        """Note what the kernel said of a product, and doubt it."""
-        for entry in entries(ifcopenshell.get_log()):
+    def _record_kernel_log(self, product: _Entity) -> None:
+        """Note the kernel's messages about a product, and doubt it."""
+        for entry in parse_log(ifcopenshell.get_log()):
             if entry.code in NO_UNIT_CODES:
                 expected = (
                     "a unit of length that the geometry kernel can read: of the SI, or converted to that in one step"
@@ -311,9 +311,9 @@ def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
     contents = _in_ascii(_of_last_publication(contents, name), notes)
     file = _open(contents, name)
     doubts = Doubts(file)
-    log = tuple(entries(ifcopenshell.get_log()))
+    log = tuple(parse_log(ifcopenshell.get_log()))
     with Where(name, "the file"):
-        doubts.take_parser(log, contents, name)
+        doubts.on_parser_log(log, contents, name)
         for entry in log:
             notes.add("The parser says", entry.text)
     # it can be large, and the geometry needs room
@@ -322,7 +322,7 @@ def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
     for library in () if file.schema == "IFC2X3" else file.by_type("IfcProjectLibrary"):
         file.remove(library)
     reader = _Reader(file, name, notes, doubts)
-    reader.note_coordinates()
+    reader.record_ignored_coordinates()
     elements = reader.elements()
     for kind, meaning in _UNREAD.items():
         if kind in file.types():
@@ -331,8 +331,8 @@ def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
     for element in elements.values():
         if not element.bodies and element.id not in with_parts:
             notes.add("Elements without a body are no obstacle", element.name or element.id, element.id)
-    given, groups = _given(elements), Groups(reader.relations, reader.ids, notes)
-    tasks, sequences = read_tasks(file, name, groups, given, reader.units, notes)
+    built_from_inputs, groups = _built_from_inputs(elements), Groups(reader.relations, reader.ids, notes)
+    tasks, sequences = read_tasks(file, name, groups, built_from_inputs, reader.units, notes)
     elements |= groups.elements
     elements |= reader.in_one_piece(elements, tasks)
     project = file.by_type("IfcProject")[0]
@@ -344,8 +344,8 @@ def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
     )  # fmt: skip
 
 
-def _given(elements: dict[str, Element]) -> set[str]:
-    """Return what a task that it is given to builds: workpieces, and assemblies without a body of which they are parts."""
+def _built_from_inputs(elements: dict[str, Element]) -> set[str]:
+    """Return what a task builds that has it as an input: workpieces, and assemblies without a body of which they are parts."""
     parents = {element.assembly for element in elements.values()}
     found = {element.id for element in elements.values() if is_workpiece(element, element.id in parents)}
     for name in list(found):
@@ -369,7 +369,7 @@ def _open(contents: bytes, name: str) -> ifcopenshell.file:
                 file = ifcopenshell.open(f"/proc/self/fd/{copy}", format=".ifc")
                 count = len(file.types())
         except Misread as error:
-            why = next((entry.text for entry in entries(ifcopenshell.get_log())), error.found)
+            why = next((entry.text for entry in parse_log(ifcopenshell.get_log())), error.found)
             raise BuildingError(name, "the file", why, "an IFC file (ISO 10303-21)") from error
     if count == 0:
         raise BuildingError(name, "the file", "no entities", "an IFC file (ISO 10303-21)")

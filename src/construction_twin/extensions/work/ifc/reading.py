@@ -236,21 +236,21 @@ def main(arguments: list[str]) -> int:
     # after the limits: what is imported is C++ of several hundred MB
     from construction_twin.extensions.work.ifc.reader import read_ifc
 
-    def say(*values: str) -> int:
+    def write_error(*values: str) -> int:
         Path(f"{output}.error").write_text(json.dumps(values))
         return 1
 
     try:
         model = read_ifc(path, most_bytes)
         if model.digest != digest:
-            return say("the file", "other contents when it was read again", "a file that nobody writes")
+            return write_error("the file", "other contents when it was read again", "a file that nobody writes")
         save(model, Path(output))
     except BuildingError as error:
-        return say(error.what, error.found, error.expected)
+        return write_error(error.what, error.found, error.expected)
     except MemoryError:
-        return say("the file", f"more than {memory >> 20} MiB of memory needed", "a smaller model")
+        return write_error("the file", f"more than {memory >> 20} MiB of memory needed", "a smaller model")
     except OSError as error:
-        return say("the result", error.strerror or str(error), "room on the disk for it")
+        return write_error("the result", error.strerror or str(error), "room on the disk for it")
     return 0
 
 

@@ -79,10 +79,10 @@ class Groups:
 
 
 def read_tasks(
-    file: ifcopenshell.file, name: str, groups: Groups, given: Collection[str], units: Units, notes: Notes
+    file: ifcopenshell.file, name: str, groups: Groups, built_from_inputs: Collection[str], units: Units, notes: Notes
 ) -> tuple[dict[str, Task], tuple[Sequence, ...]]:
-    """Read tasks and sequences; `given`: ids of elements that a task builds where it has them as inputs only."""
-    reading = _Reading(groups, given, units, notes)
+    """Read tasks and sequences; `built_from_inputs`: ids of elements that a task builds where it has them as inputs only."""
+    reading = _Reading(groups, built_from_inputs, units, notes)
     every = sorted(file.by_type("IfcTask"), key=lambda task: task.id())
     with Where(name, "the schedule"):
         reading.beyond = any(_completion(_time_of(task)) > 1.0 + _ROUNDING for task in every)
@@ -128,9 +128,9 @@ class _Reading:
         beyond: Some `Completion` is above 1: nobody knows what the others are parts of.
     """
 
-    def __init__(self, groups: Groups, given: Collection[str], units: Units, notes: Notes):
-        self._groups, self._given, self._notes = groups, given, notes
-        self._time_unit = units.given.get("TIMEUNIT")
+    def __init__(self, groups: Groups, built_from_inputs: Collection[str], units: Units, notes: Notes):
+        self._groups, self._built_from_inputs, self._notes = groups, built_from_inputs, notes
+        self._time_unit = units.factors.get("TIMEUNIT")
         self._units, self._whole = units, groups.relations.whole
         self.ids: dict[int, str] = {}
         self.tasks: dict[str, Task] = {}
@@ -179,7 +179,9 @@ class _Reading:
         if cancelled:
             note("Tasks that the file says are cancelled: not done, nothing waits for them but what comes before")
         if kind == "makes" and not products:
-            products = [each for each in inputs if by_recipe or each in self._given or each in groups.elements]
+            products = [
+                each for each in inputs if by_recipe or each in self._built_from_inputs or each in groups.elements
+            ]
             inputs = [each for each in inputs if each not in products]
             if products and not by_recipe:
                 said = "Tasks whose workpieces are assigned as inputs only (IfcRelAssignsToProcess)"
@@ -222,8 +224,8 @@ class _Reading:
 
         A task that names its recipe (`by_recipe`) is the arm's, whatever else its kind says than that it takes down.
         """
-        said = next(filter(None, map(_said_kind, self._above(entity))), "")
-        shown = said if said and said == _said_kind(entity) else f"{said} (said of what they nest in)"
+        said = next(filter(None, map(_declared_kind, self._above(entity))), "")
+        shown = said if said and said == _declared_kind(entity) else f"{said} (said of what they nest in)"
         if said in _TAKES_DOWN:
             note(f"Tasks of the kind {shown}: the arm takes nothing down, a person says when it is gone")
             return "takes_down"
@@ -237,8 +239,8 @@ class _Reading:
             note(f"Tasks of a kind of their own ({own!r}), taken as placing")
         return "makes"
 
-    def _says_completed(self, entity: _Entity) -> bool:
-        """Return whether a task says of itself that it is done: by its status, or by its times."""
+    def _is_marked_completed(self, entity: _Entity) -> bool:
+        """Return whether status or times of a task mark it as done."""
         time = _time_of(entity)
         whole = not self.beyond and math.isclose(_completion(time), 1.0, abs_tol=_ROUNDING)
         return _status_word(entity) in _DONE_WORDS or whole or getattr(time, "ActualFinish", None) is not None
@@ -246,7 +248,7 @@ class _Reading:
     def _completed(self, entity: _Entity, note: _Note) -> bool:
         """Return whether the file says that a task, or what it nests in, is done; one that is under way is noted."""
         time, status = _time_of(entity), _status_word(entity)
-        done = next(filter(self._says_completed, self._above(entity)), None)
+        done = next(filter(self._is_marked_completed, self._above(entity)), None)
         if done is not None and done.id() == entity.id():
             note("Tasks that the file says are completed: not done again, what they made stands")
         elif done is not None:
@@ -367,14 +369,14 @@ def _status_word(entity: _Entity) -> str:
     return "".join(each for each in (entity.Status or "").upper() if each.isalnum() or each in "?%")
 
 
-def _said_kind(entity: _Entity) -> str:
+def _declared_kind(entity: _Entity) -> str:
     """Return the kind that a task or its type says, by the schema or in a word of it; empty: it says none."""
-    given = _given_kind(entity)
+    given = _predefined_kind(entity)
     own = _own_word(entity).upper()
     return str(given) if given not in _OPEN else own if own in (*_MAKES, *_TAKES_DOWN, *_OTHER_KINDS) else ""
 
 
-def _given_kind(entity: _Entity) -> str | None:
+def _predefined_kind(entity: _Entity) -> str | None:
     given = getattr(entity, "PredefinedType", None)
     if given not in (None, "NOTDEFINED"):
         return str(given)
@@ -383,7 +385,7 @@ def _given_kind(entity: _Entity) -> str | None:
 
 def _own_word(entity: _Entity) -> str:
     """Return the author's own word for the kind of a task, the only one in IFC2x3; empty: none, or the schema's counts."""
-    if _given_kind(entity) not in _OPEN:
+    if _predefined_kind(entity) not in _OPEN:
         return ""
     kind = ifcopenshell.util.element.get_type(entity)
     return str(entity.ObjectType or getattr(kind, "ProcessType", None) or "").strip()

@@ -17,7 +17,7 @@ from construction_twin.extensions.work.motions import PAIRS, Failed, PlanBuilder
 from construction_twin.extensions.work.place.grips import AXES, Grip, find_grips
 from construction_twin.extensions.work.place.recipe import OVERRIDES, Direction, PlaceRecipe, check_tool, mass_of
 from construction_twin.extensions.work.process import REACH, Process, TaskMotions
-from construction_twin.extensions.work.site import inverse, pose_of
+from construction_twin.extensions.work.work_cell import inverse, pose_of
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.trajectory import Trajectory
@@ -54,7 +54,7 @@ def _whole(search: Search, mass: float) -> TaskMotions:
         raise TaskPlanningError(job.task, str(error), GRIP) from error
     if not grips.grips:
         raise TaskPlanningError(job.task, f"recipe {search.name!r} finds no grip: {grips.reason}", GRIP)
-    falls, tried = _falls(search), 0
+    falls, tried = _fall_reason(search), 0
 
     def with_grip(grip: Grip) -> TaskMotions:
         nonlocal tried
@@ -77,7 +77,7 @@ def _whole(search: Search, mass: float) -> TaskMotions:
 
 def _rest(search: Search, tool0_T_element: Pose) -> TaskMotions:
     job, recipe = search.job, search.recipe
-    if falls := _falls(search):
+    if falls := _fall_reason(search):
         raise Failed(SET_DOWN, falls)
     element_T_tcp = product(inverse(tool0_T_element), pose_of(search.tool.tool.tool0_T_tcp))
     grip = Grip("the grip it is held with", element_T_tcp, Pose(np.zeros(3), np.eye(3)), 0)
@@ -116,7 +116,7 @@ def _first(
     raise furthest
 
 
-def _falls(search: Search) -> str:
+def _fall_reason(search: Search) -> str:
     """Return why the element would fall at its place; empty: something is under it."""
     job, recipe = search.job, search.recipe
     own = {item.name for item in job.bodies}
@@ -303,10 +303,12 @@ def scenes(search: Search, at: Ways) -> Scenes:
 
 # -- the attempt with one grip and one pair of straight ways
 
-_Made = TypeVar("_Made")
+_Computed = TypeVar("_Computed")
 
 
-def _once(made: dict[int, _Made | Failed], number: int, make: Callable[[np.ndarray], _Made], q: np.ndarray) -> _Made:
+def _computed_once(
+    made: dict[int, _Computed | Failed], number: int, make: Callable[[np.ndarray], _Computed], q: np.ndarray
+) -> _Computed:
     """Return what was made of a joint solution at the first call, or raise why it could not be made."""
     if number not in made:
         try:
@@ -351,8 +353,8 @@ class _OneWay:
             if tried >= PAIRS or (tried and self.search.late):
                 break
             try:
-                stock = _once(self._stocks, one, self._make_stock, befores[one])
-                goal = _once(self._goals, other, self._make_goal, aboves[other])
+                stock = _computed_once(self._stocks, one, self._stock_motions, befores[one])
+                goal = _computed_once(self._goals, other, self._goal_motions, aboves[other])
                 tried += 1
                 return self._joined(stock, goal)
             except Failed as failed:
@@ -366,7 +368,7 @@ class _OneWay:
         aboves = search.solutions(self.at.above, search.start, there.carry, SET_DOWN, "above its place")
 
         def above(number: int) -> TaskMotions:
-            goal = self._make_goal(aboves[number])
+            goal = self._goal_motions(aboves[number])
             carry = search.free(search.start, goal.above, scale, there.carry, CARRY)
             return self._carried(PlanBuilder(search, search.scene), carry, goal)
 
@@ -401,14 +403,14 @@ class _OneWay:
             if not (isinstance(self._stocks.get(one), Failed) or isinstance(self._goals.get(other), Failed)):
                 yield one, other
 
-    def _make_stock(self, before: np.ndarray) -> _Stock:
+    def _stock_motions(self, before: np.ndarray) -> _Stock:
         search, recipe, at, there = self.search, self.search.recipe, self.at, self.scenes
         approach = search.line(before, at.stock, recipe.free_speed_scale, there.approach, APPROACH)
         lift = search.line(approach.positions[-1], at.lifted, recipe.carry_speed_scale, there.lift, LIFT)
         search.demand_free(lift.positions[-1], there.carry, LIFT, "lifted, where it is carried freely from")
         return _Stock(before, approach, lift)
 
-    def _make_goal(self, above: np.ndarray) -> _Goal:
+    def _goal_motions(self, above: np.ndarray) -> _Goal:
         search, recipe, at, there = self.search, self.search.recipe, self.at, self.scenes
         set_down = search.line(above, at.goal, recipe.carry_speed_scale, there.set_down, SET_DOWN)
         retreat = search.line(set_down.positions[-1], at.after, recipe.free_speed_scale, there.retreat, RETREAT)

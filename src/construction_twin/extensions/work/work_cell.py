@@ -120,8 +120,8 @@ class CellFile(Strict):
 
 
 @dataclass(frozen=True, eq=False)
-class Site:
-    """A cell, read."""
+class WorkCell:
+    """The tool, recipes and scene of a cell file."""
 
     path: str
     file: CellFile
@@ -147,7 +147,7 @@ class Site:
         return found[0]
 
 
-def read_site(path: str | Path) -> Site:
+def read_work_cell(path: str | Path) -> WorkCell:
     """Read a cell file and the files that it names."""
     description = read_yaml(path, " of a cell, as config/work/timber_panel.yaml")
     try:
@@ -159,7 +159,7 @@ def read_site(path: str | Path) -> Site:
     recipes.check_tool(tool.tool)
     scene = read_scene(folder / cell.scene)
     _check_names(str(path), cell, scene)
-    return Site(str(path), cell, tool, recipes, scene)
+    return WorkCell(str(path), cell, tool, recipes, scene)
 
 
 def _check_names(path: str, cell: CellFile, scene: Scene) -> None:

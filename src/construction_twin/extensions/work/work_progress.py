@@ -16,13 +16,13 @@ from construction_twin.core.reports import ExecutionReport, WorkReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.worker import WorkerError
 from construction_twin.extensions.work import decisions, engaged_scene
-from construction_twin.extensions.work.built import Appearance, Deviation, change, pose_tuple
+from construction_twin.extensions.work.as_built import Appearance, Deviation, pose_tuple, scene_change
 from construction_twin.extensions.work.errors import WorkError
 from construction_twin.extensions.work.following import Follower
 from construction_twin.extensions.work.ledger import Ledger
 from construction_twin.extensions.work.loaded_model import LoadedModel
 from construction_twin.extensions.work.process import DEFAULT, TaskMotions
-from construction_twin.extensions.work.received import Received
+from construction_twin.extensions.work.received_messages import Received
 from construction_twin.extensions.work.task_board import TaskBoard, WorkRefused
 from construction_twin.extensions.work.task_memory import UNDER_WAY, Entry, TaskState
 from construction_twin.kinematics.chain import Chain, Pose
@@ -71,7 +71,7 @@ class Neighbours:
     log: Callable[[str], None]
 
 
-class WorkSession:
+class WorkProgress:
     """The work on a loaded model, for several threads; its ledger is called after robot and cell file.
 
     `clock`: Returns the time since 1970 [ns]. `lock`: Guards board and ledger; free while another node is waited for.
@@ -89,11 +89,11 @@ class WorkSession:
         ledger = Ledger(
             folder / f"{robot.name}_{Path(loaded.cell).stem}.jsonl", loaded.after, loaded.digest, clock,
             str(Path(loaded.cell).resolve()), loaded.schedule.placing, loaded.standing_elements, robot.name,
-            loaded.present,
+            loaded.model_elements,
         )  # fmt: skip
         self.board = TaskBoard(loaded, ledger, robot.name, robot.tip_link)
         self._received, self._calls, self._clock = received, calls, clock
-        decisions.look_around(self.board)
+        decisions.ask_about_other_ledgers(self.board)
         opened = f"{loaded.model}: {len(loaded.schedule.jobs)} tasks, {ledger.lines} lines in {ledger.path}"
         for said in (opened, *self.board.notes):
             calls.log(said)
@@ -108,14 +108,18 @@ class WorkSession:
         """Find out what became of a plan that is offered or under way in the ledger; listens so long [s]."""
         received = self._received
         # nothing is tidied before it is known whether the arm was left engaged
-        received.wait_for(lambda: received.execution is not None and not received.unsaid, min(1.0, listen_time))
+        received.wait_for(
+            lambda: received.execution is not None and not received.is_engagement_unknown, min(1.0, listen_time)
+        )
         if not self.board.states.busy:
             return
         # latched messages come within a moment of the connection; the executor may only now be starting
-        received.wait_for(lambda: received.execution is not None and received.tool_said, listen_time)
-        received.wait_for(lambda: received.plan is not None and not received.unsaid, min(1.0, listen_time))
+        received.wait_for(lambda: received.execution is not None and received.is_tool_known, listen_time)
+        received.wait_for(
+            lambda: received.plan is not None and not received.is_engagement_unknown, min(1.0, listen_time)
+        )
         with self.lock:
-            self._follower.follow(received.execution)
+            self._follower.on_report(received.execution)
             self._follower.settle()
 
     def catch_up(self) -> None:
@@ -133,7 +137,7 @@ class WorkSession:
             try:
                 if engaged:
                     self._make_for_way_back()
-                elif received.executor_said:
+                elif received.is_executor_known:
                     self._tidy()
             finally:
                 self._planning.release()
@@ -157,13 +161,13 @@ class WorkSession:
         if scene is None:
             return
         with self.lock:
-            wrong = change(scene, *self.board.built.wanted_scene())
+            wrong = scene_change(scene, *self.board.built.wanted_scene())
         if wrong != SceneChange():
             self._edit(scene.hash, wrong)
 
     def _make_for_way_back(self) -> str:
         """Make the scene one in which an engaged arm can go back, after the ledger's line; return why not."""
-        received, left, board = self._received, self._received.left, self.board
+        received, left, board = self._received, self._received.left_engaged, self.board
         if left is None:
             return Sentence(
                 "the executor has not said yet where the arm was left engaged; its log says whether the disk takes it"
@@ -177,7 +181,7 @@ class WorkSession:
                 return ""
             if received.playing:
                 return Sentence("a plan is under way, and the scene is not the one for the way back; wait for its end")
-            self._follower.follow(received.execution)
+            self._follower.on_report(received.execution)
             self._follower.settle_if_lost()
             memory = board.states.tasks.get(left.task)
             if memory is not None and memory.plan == left.plan_id and memory.state in UNDER_WAY:
@@ -189,7 +193,7 @@ class WorkSession:
                 return self._blocked
             element = board.element_of(left.task) if memory is not None else ""
             forms = board.built.forms(left.task) if memory is not None else ()
-            found = engaged_scene.due(left, scene, segments, changes, received.scenes(), element, forms)
+            found = engaged_scene.restoring_change(left, scene, segments, changes, received.scenes(), element, forms)
         if isinstance(found, str):
             self._blocked, self._blocked_in = found, about
             self._calls.refuse("engagement", found)
@@ -224,15 +228,15 @@ class WorkSession:
         received = self._received
         try:
             with self.lock:
-                problem = self.board.left_closed(self._follower.grip().commanded)
+                problem = self.board.empty_grip_remedy(self._follower.grip().commanded)
             if problem:
                 raise WorkRefused(problem)
             if received.engaged:
-                received.wait_for(lambda: not received.unsaid, SCENE_TIME)
+                received.wait_for(lambda: not received.is_engagement_unknown, SCENE_TIME)
             return self._plan_way_back(asked) if received.engaged else self._plan_task(asked)
         finally:
             self._planning.release()
-            received.announce()
+            received.notify()
 
     def _allowed(self, asked: str) -> str:
         now = self._clock()
@@ -254,7 +258,7 @@ class WorkSession:
             scene = self._received.scene
             if scene is None:
                 raise WorkRefused("the scene is not known; see why the scene node is down")
-            if change(scene, *board.built.wanted_scene()) != SceneChange():
+            if scene_change(scene, *board.built.wanted_scene()) != SceneChange():
                 raise WorkRefused(
                     "the scene could not be made what the ledger says; /diagnostics of the node work says why"
                 )
@@ -262,7 +266,7 @@ class WorkSession:
         try:
             plan = self._calls.plan(task=task, element=board.element_of(task), start=start, scene=scene, held=held)
         except (WorkError, WorkerError) as error:
-            board.failures[task] = board.called(str(error))
+            board.failures[task] = board.with_names(str(error))
             raise WorkRefused(board.failures[task]) from error
         board.failures.pop(task, None)
         self._calls.log(f"{board.title(task)}: planned with {plan.method}")
@@ -330,27 +334,27 @@ class WorkSession:
                     sentence = decisions.answer_all(board, answer, person, reason)
                 case "answer":
                     sentence = decisions.answer(board, task, answer, person, reason, question)
-                    if problem := board.left_closed(self._follower.grip().commanded):
+                    if problem := board.empty_grip_remedy(self._follower.grip().commanded):
                         sentence = Sentence("{first}; {second}", first=sentence, second=problem)
                 case "skip" | "redo" | "removed":
                     sentence = getattr(decisions, decision)(board, task, person, reason)
                 case _:
                     raise WorkRefused(f"decision {decision!r}; expected skip, redo, answer, removed or accept_schedule")
         self._calls.log(f"{sentence} ({person})")
-        self._received.announce()
+        self._received.notify()
         return sentence
 
-    def measured(self, element: str, pose: Pose, person: str, reason: str) -> Deviation:
+    def record_measured(self, element: str, pose: Pose, person: str, reason: str) -> Deviation:
         """Record where a person has measured an element."""
         with self.lock:
-            found = decisions.measured(self.board, element, pose, person, reason)
-        self._received.announce()
+            found = decisions.record_measured(self.board, element, pose, person, reason)
+        self._received.notify()
         return found
 
-    def report(self) -> WorkReport:
+    def state_report(self) -> WorkReport:
         """Return the state of the work."""
         with self.lock:
-            report = self.board.report(self._clock())
+            report = self.board.state_report(self._clock())
         if self._received.execution is None or not self._received.execution.engaged:
             return report
         return replace(report, engaged=True, reason=_only_way_back(self._blocked))
