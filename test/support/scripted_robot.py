@@ -31,8 +31,8 @@ from construction_twin.extensions.console.remote_review import (
 )
 from construction_twin.extensions.console.remote_view import (
     ClosestView,
+    FreshReport,
     PoseView,
-    Shown,
     ViewInputs,
     ViewWriter,
 )
@@ -266,8 +266,8 @@ class ScriptedRobot:
                 if self.expected_error is None
                 else PoseView(stamp, 0.0, tuple(self.twin + self.expected_error)),
                 sync=self._sync(),
-                link=Shown(self.link, 0.0),
-                execution=Shown(
+                link=FreshReport(self.link, 0.0),
+                execution=FreshReport(
                     ExecutionReport(
                         self.state,
                         "",
@@ -308,13 +308,13 @@ class ScriptedRobot:
     def _publish(self, topic: str, payload: bytes, retain: bool = False) -> None:
         self._client.publish(topic, payload, qos=1, retain=retain)
 
-    def _sync(self) -> Shown[SyncReport]:
+    def _sync(self) -> FreshReport[SyncReport]:
         error = np.abs(self.arm_error)
         agreed = bool(np.all(error < _THRESHOLD))
         state, reason = ("IN_SYNC", "") if agreed else ("HOLDING", "the arm does not follow")
         threshold = (_THRESHOLD,) * len(error)
         report = SyncReport(state, reason, "stop", "", tuple(error), threshold, 0.0082, 0.02, agreed=agreed)
-        return Shown(report, 0.0)
+        return FreshReport(report, 0.0)
 
     def _screen(self) -> bytes:
         if self.lines is not None:

@@ -281,7 +281,7 @@ class Bridge:
         if problem := self.supervisor.inputs.on_status(status, now):
             raise PayloadError("status", problem)
         self._tool.on_status(status)
-        self._values = status.shown()
+        self._values = status.text_values()
         if status.state == OFFLINE:
             self._strings.restart()
 

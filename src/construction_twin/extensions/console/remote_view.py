@@ -222,7 +222,7 @@ _VIEWS = pydantic.TypeAdapter(View)
 
 
 @dataclass(frozen=True)
-class Shown(Generic[_Report]):
+class FreshReport(Generic[_Report]):
     """A report that is the present, and how long ago it was received [s]."""
 
     report: _Report
@@ -235,9 +235,9 @@ class ViewInputs:
 
     twin: PoseView | None = None
     arm: PoseView | None = None
-    sync: Shown[SyncReport] | None = None
-    link: Shown[LinkReport] | None = None
-    execution: Shown[ExecutionReport] | None = None
+    sync: FreshReport[SyncReport] | None = None
+    link: FreshReport[LinkReport] | None = None
+    execution: FreshReport[ExecutionReport] | None = None
     plan: str = ""
     closest: ClosestView | None = None
     progress: float = 0.0
@@ -300,7 +300,7 @@ class ViewWriter:
         return _VIEWS.dump_json(view)
 
 
-def _part(kind: type[_Part], shown: Shown | None, **known: object) -> _Part | None:
+def _part(kind: type[_Part], shown: FreshReport | None, **known: object) -> _Part | None:
     """Return what a view shows of a report: its fields of the same names, where they are not `known` otherwise."""
     if shown is None:
         return None
@@ -316,12 +316,12 @@ def _speed(report: SpeedReport | None) -> SpeedView | None:
     return SpeedView(report.limit, report.by, report.reason, report.people, report.person, since, *whose)
 
 
-def _round_trip_ms(sync: Shown[SyncReport] | None) -> float:
+def _round_trip_ms(sync: FreshReport[SyncReport] | None) -> float:
     # from a setpoint's passing of the gate to the arm's answer to it: the gate measures it, and it says how the link is
     return sync.report.round_trip * 1e3 if sync is not None else math.nan
 
 
-def _controller(shown: Shown[LinkReport] | None) -> ControllerView | None:
+def _controller(shown: FreshReport[LinkReport] | None) -> ControllerView | None:
     counters = shown.report.gateway_counters if shown is not None else {}
     mode, program, override = (
         counters.get(f"controller_{name}", "") for name in ("mode", "program", "override_percent")
@@ -331,7 +331,7 @@ def _controller(shown: Shown[LinkReport] | None) -> ControllerView | None:
     return ControllerView(mode, program, percent) if mode or program or percent is not None else None
 
 
-def _segment(shown: Shown[ExecutionReport] | None) -> SegmentNow | None:
+def _segment(shown: FreshReport[ExecutionReport] | None) -> SegmentNow | None:
     if shown is None or shown.report.segment < 0:
         return None
     report = shown.report
