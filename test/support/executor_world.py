@@ -77,7 +77,7 @@ class World:
         """Count what is refused."""
         self.refused.append(said)
 
-    def hear(self, topic: str, message) -> None:
+    def receive(self, topic: str, message) -> None:
         """Let a message come in, as `Subscriber` hands it on."""
         (heard,) = (each for each in module.INTERFACE.subscribes if each.topic == topic)
         try:
@@ -91,7 +91,7 @@ class World:
 
     def offer(self, plan) -> None:
         """Let a plan come in."""
-        self.hear("plan", plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
+        self.receive("plan", plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
 
     def review(self, plan, approve: bool = True, reviewer: str = "Ada", reason: str = "", moment: str = ""):
         """Give a verdict; return the answer."""

@@ -31,8 +31,8 @@ from construction_twin.extensions.console.remote_review import (
 )
 from construction_twin.extensions.console.remote_view import (
     ClosestView,
+    FreshReport,
     PoseView,
-    Shown,
     ViewInputs,
     ViewWriter,
 )
@@ -109,7 +109,7 @@ class ScriptedRobot:
     Args:
         broker: With the account of the robot's bridge.
         name: In the topics.
-        period: Of `view` [s]; 0: only when `say` is called.
+        period: Of `view` [s]; 0: only when `publish_view` is called.
 
     Attributes:
         heard: What came: topic below the robot's, payload.
@@ -199,7 +199,7 @@ class ScriptedRobot:
             self.trajectory = bent_motion(self.twin.copy(), np.asarray(goal, dtype=float), self._names, duration)
             self.plan = self._view_of(self.trajectory, f"{self.name}-{self._numbers}", source)
             self._publish(self._topics.plan, self.plan.to_json(200), retain=True)
-            self.say()
+            self.publish_view()
             return self.plan
 
     def take_plan_away(self) -> None:
@@ -208,7 +208,7 @@ class ScriptedRobot:
             self.plan, self.obstacle = None, ""
             self._publish(self._topics.plan, b"", retain=True)
             self._publish(self._topics.rehearsal, b"", retain=True)
-            self.say()
+            self.publish_view()
 
     def show_rehearsal(self, report: RehearsalReport, obstacle: str = "") -> None:
         """Say what a rehearsal of the plan under review has found, and why that is against approving it."""
@@ -217,7 +217,7 @@ class ScriptedRobot:
             report = replace(report, plan_id=self.plan.id, plan_hash=self.plan.hash)
             self.obstacle = obstacle
             self._publish(self._topics.rehearsal, dumped(report, marks=SPACED), retain=True)
-            self.say()
+            self.publish_view()
 
     def play(self) -> None:
         """Play the plan under review, as after an approval."""
@@ -252,7 +252,7 @@ class ScriptedRobot:
         document = {"hash": f"{len(objects):064d}", "frame": "base_link", "padding": 0.01, "objects": list(objects)}
         self._publish(self._topics.scene, json.dumps(document).encode(), retain=True)
 
-    def say(self) -> None:
+    def publish_view(self) -> None:
         """Publish a view of now."""
         with self._lock:
             now = time.time_ns()
@@ -266,8 +266,8 @@ class ScriptedRobot:
                 if self.expected_error is None
                 else PoseView(stamp, 0.0, tuple(self.twin + self.expected_error)),
                 sync=self._sync(),
-                link=Shown(self.link, 0.0),
-                execution=Shown(
+                link=FreshReport(self.link, 0.0),
+                execution=FreshReport(
                     ExecutionReport(
                         self.state,
                         "",
@@ -308,13 +308,13 @@ class ScriptedRobot:
     def _publish(self, topic: str, payload: bytes, retain: bool = False) -> None:
         self._client.publish(topic, payload, qos=1, retain=retain)
 
-    def _sync(self) -> Shown[SyncReport]:
+    def _sync(self) -> FreshReport[SyncReport]:
         error = np.abs(self.arm_error)
         agreed = bool(np.all(error < _THRESHOLD))
         state, reason = ("IN_SYNC", "") if agreed else ("HOLDING", "the arm does not follow")
         threshold = (_THRESHOLD,) * len(error)
         report = SyncReport(state, reason, "stop", "", tuple(error), threshold, 0.0082, 0.02, agreed=agreed)
-        return Shown(report, 0.0)
+        return FreshReport(report, 0.0)
 
     def _screen(self) -> bytes:
         if self.lines is not None:
@@ -356,7 +356,7 @@ class ScriptedRobot:
             if self.silent:
                 continue
             if self._period:
-                self.say()
+                self.publish_view()
             if time.monotonic() - said >= SCREEN:
                 said = time.monotonic()
                 self._publish(self._topics.screen, self._screen())

@@ -49,7 +49,7 @@ class Unplugged:
         patch(ports, "Publisher", self._publisher)
         patch(ports, "JointPublisher", self._publisher)
         patch(ports, "Subscriber", Subscriber)
-        patch(ports, "JointSubscriber", lambda topic, _names, callback, *_: self.hear(topic, callback))
+        patch(ports, "JointSubscriber", lambda topic, _names, callback, *_: self.subscribe(topic, callback))
         patch(ports, "LatestPose", lambda topic, *_: self._opens("reads", topic, newest_pose(pose)))
         patch(ports, "Service", self._serve)
         patch(ports.rospy, "Timer", lambda _period, callback: self.timers.append(callback))
@@ -74,7 +74,7 @@ class Unplugged:
 
         return self._opens("publishes", topic, SimpleNamespace(publish=publish))
 
-    def hear(self, topic: str, callback: Callable) -> None:
+    def subscribe(self, topic: str, callback: Callable) -> None:
         self.callbacks[topic] = callback
         self._opens("hears", topic, None)
 
@@ -109,7 +109,7 @@ class Subscriber:
 
     def __init__(self, topic: str, _kind: type, callback: Callable, *_):
         self._topic = topic
-        self.bench.hear(topic, callback)
+        self.bench.subscribe(topic, callback)
 
     def get_num_connections(self) -> int:
         return 1

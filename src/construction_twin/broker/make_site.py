@@ -206,7 +206,7 @@ def _site(asked: argparse.Namespace, before: dict) -> Site:
         raise ConfigurationError("--days", asked.days, "1 to 36500")
     named = {read_person(words)[0] for words in asked.person}
     others = [words for words in before.get("persons", ()) if read_person(words)[0] not in named]
-    given = {
+    added = {
         "hosts": merged(before.get("hosts", ()), asked.host),
         "robots": merged(before.get("robots", ()), asked.robot),
         "consoles": merged(before.get("consoles", ()), asked.console),
@@ -214,7 +214,7 @@ def _site(asked: argparse.Namespace, before: dict) -> Site:
         "folder": asked.broker_folder or before.get("folder") or str(asked.folder.absolute() / "broker"),
     }
     single = ("plc", "certificates", "port", "listen", "prefix")
-    return Site(**before | given | {name: value for name in single if (value := getattr(asked, name))})
+    return Site(**before | added | {name: value for name in single if (value := getattr(asked, name))})
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -119,8 +119,8 @@ def open_bag(path: str | Path) -> Iterator[Bag]:
         raise FileError(str(path), error) from error
     except (*_DAMAGED, OSError) as error:
         if "not indexed" in str(error):
-            said = f"{path} was not closed properly; run `rosbag reindex {path}` and try again"
-            raise ConstructionTwinError(said) from error
+            sentence = f"{path} was not closed properly; run `rosbag reindex {path}` and try again"
+            raise ConstructionTwinError(sentence) from error
         raise ConstructionTwinError(f"{path} cannot be read as a rosbag: {problem_of(error)}") from error
 
 

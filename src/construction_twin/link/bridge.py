@@ -150,11 +150,11 @@ class JointStrings:
             raise PayloadError("retained", "retained state: its age is unknown")
         q = self._codec.decode(payload)
         # where the link carries properties, a pose without them is not the gateway's
-        beside = self._read_properties(pairs) if pairs or self.properties else None
-        if beside is not None:
-            self._check.accept(beside.seq, beside.stamp, now)
+        properties = self._read_properties(pairs) if pairs or self.properties else None
+        if properties is not None:
+            self._check.accept(properties.seq, properties.stamp, now)
         self.received += 1
-        return q, beside or _NO_PROPERTIES
+        return q, properties or _NO_PROPERTIES
 
 
 class PendingRequest:
@@ -281,7 +281,7 @@ class Bridge:
         if problem := self.supervisor.inputs.on_status(status, now):
             raise PayloadError("status", problem)
         self._tool.on_status(status)
-        self._values = status.shown()
+        self._values = status.text_values()
         if status.state == OFFLINE:
             self._strings.restart()
 
@@ -341,10 +341,10 @@ class Bridge:
         """
         self._record_stops(present)
         if moment is not None:
-            seen = parse_moment(moment)
-            if problem := staleness(seen, present):
+            shown_at = parse_moment(moment)
+            if problem := staleness(shown_at, present):
                 raise ExpiredError(Sentence("this is {problem}", problem=problem))
-            if not is_newer(seen, self._stop_shown_from):
+            if not is_newer(shown_at, self._stop_shown_from):
                 raise ExpiredError(
                     Sentence("this is void: the arm was stopped after what the screen had shown; ask anew")
                 )

@@ -124,7 +124,7 @@ class GatewayStatus(_Part):
         """True when it is armed for its `session`, or follows it."""
         return self.state in ("armed", "following")
 
-    def shown(self) -> dict[str, str]:
+    def text_values(self) -> dict[str, str]:
         """Return what was told beside the counters: ``{"playout_delay_ms": "20", "intruder_session": "", ...}``."""
         values = {name: _text(getattr(self, name)) for name in _SINGLE if name in self.model_fields_set}
         for group in _GROUPS:

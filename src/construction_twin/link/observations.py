@@ -192,10 +192,10 @@ class LinkObservations(ArmAndStream):
         return ""
 
     def _record_run(self, run: str, speaks: bool, now: int) -> None:
-        heard = {other: at for other, at in self._other_runs.items() if other != run and now - at <= STATUS_TIMEOUT}
-        if speaks and run != self.status.run and len(heard) < OTHER_RUNS:
-            heard[run] = now
-        self._other_runs = heard
+        received = {other: at for other, at in self._other_runs.items() if other != run and now - at <= STATUS_TIMEOUT}
+        if speaks and run != self.status.run and len(received) < OTHER_RUNS:
+            received[run] = now
+        self._other_runs = received
 
     def _record_stop(self) -> None:
         status = self.status
@@ -251,7 +251,7 @@ class LinkObservations(ArmAndStream):
             return LinkState.GATEWAY_OFFLINE, Sentence(
                 "no gateway answers on the broker; start rsi_gateway on the cell PC"
             )
-        others = sorted(run for run, heard in self._other_runs.items() if now - heard <= STATUS_TIMEOUT)
+        others = sorted(run for run, received in self._other_runs.items() if now - received <= STATUS_TIMEOUT)
         if others:
             runs = " and ".join(f"run {run}" if run else "one without a run" for run in sorted([status.run, *others]))
             return LinkState.MISMATCH, Sentence(

@@ -131,10 +131,10 @@ class SpeedLimits:
                 ),
             )
         if moment:
-            seen = parse_moment(moment)
-            if problem := staleness(seen, now):
+            shown_at = parse_moment(moment)
+            if problem := staleness(shown_at, now):
                 raise ExpiredError(Sentence("the raise of the speed limit is {problem}", problem=problem))
-            if not is_newer(seen, self._lowered):
+            if not is_newer(shown_at, self._lowered):
                 raise ExpiredError(Sentence("the raise of the speed limit is void: it was lowered since; ask anew"))
         return SpeedChange(person, limit, before.limit, before.person, at)
 

@@ -265,8 +265,8 @@ class LinkSupervisor:
                 self._void_request()
         elif self._halt_reason is not None:
             # what the gateway still knows it tells better than the process before this one
-            told = _stop_sentence(self.inputs) if self._waited_before and known.status.fault else self._halt_reason
-            self._enter(LinkState.NEEDS_RESET, told)
+            reason = _stop_sentence(self.inputs) if self._waited_before and known.status.fault else self._halt_reason
+            self._enter(LinkState.NEEDS_RESET, reason)
         elif known.status.fault:
             self._enter(LinkState.NEEDS_RESET, _stop_sentence(self.inputs))
         elif known.stopped_before:

@@ -134,9 +134,9 @@ def work_states(plan: Plan, changes: Sequence[SceneChange], scene: Scene | None)
     known = scene is not None and scene.hash == plan.scene
     present = scene if scene is not None and known else Scene()
     before = {item.name: item for item in present.objects}
-    told = [*changes, *[SceneChange()] * (len(plan.segments) - len(changes))]
+    segment_changes = [*changes, *[SceneChange()] * (len(plan.segments) - len(changes))]
     carried, problem = [], "" if known else "the scene that the plan begins in is not known here"
-    for segment, change in zip(plan.segments, told):
+    for segment, change in zip(plan.segments, segment_changes):
         carried.append(tuple(item for item in present.objects if item.link))
         present = _after(present, change)
         if known and not problem and present.hash != segment.scene_after:

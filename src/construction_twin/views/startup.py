@@ -217,12 +217,12 @@ class StartUp:
         self.missing = missing
         if missing is None:
             return self._become_ready()
-        said = self._logged
-        if said is not None and missing.news == said.news:
+        logged = self._logged
+        if logged is not None and missing.news == logged.news:
             return []
         # reasons that alternate must not keep back that something is missing, nor make a line each
-        told = said is not None and missing.kind == said.kind
-        if now - (self._reason_since if told else self._since) < PATIENCE:
+        was_logged = logged is not None and missing.kind == logged.kind
+        if now - (self._reason_since if was_logged else self._since) < PATIENCE:
             return []
         text = f"not ready any more, {missing}" if self._ready else str(missing)
         self._logged, self._ready = missing, False

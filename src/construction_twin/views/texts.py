@@ -161,10 +161,10 @@ def status_lines(snapshot: Snapshot) -> list[str]:
         lines.append(f"holds      {cause}")
     for name in ("link", "sync", "execution"):
         facts = getattr(snapshot, name)
-        said = "no report" if facts is None else f"{facts.text}{because(facts.reason)}"
+        text = "no report" if facts is None else f"{facts.text}{because(facts.reason)}"
         if facts is not None and name in snapshot.silent:
-            said = f"silent for {snapshot.silent[name]:.0f} s; the last was {facts.text}"
-        lines.append(f"{name:10} {said}")
+            text = f"silent for {snapshot.silent[name]:.0f} s; the last was {facts.text}"
+        lines.append(f"{name:10} {text}")
     controller = controller_words(snapshot.link.gateway_counters) if snapshot.link is not None else ""
     if controller:
         lines.append(f"controller {controller}")
@@ -270,7 +270,7 @@ def segment_words(segment: Segment, change: SceneChange | None = None) -> list[s
 
 def change_words(change: SceneChange) -> str:
     """Return what becomes of the scene, by the names of whole things: an element's bodies are called ``<element>/0``, ..."""
-    said: list[str] = []
+    phrases: list[str] = []
     for verb, names in (
         ("carries", [item.name for item in change.put if item.link]),
         ("puts", [item.name for item in change.put if not item.link]),
@@ -279,12 +279,12 @@ def change_words(change: SceneChange) -> str:
         things = list(dict.fromkeys(name.rsplit("/", 1)[0] for name in names))
         if things and verb == "removes":
             # what is gone is no longer kept clear of: the reviewer sees all of it
-            said.append(f"removes {', '.join(things)}")
+            phrases.append(f"removes {', '.join(things)}")
         elif things:
             first = cut(things[0])
             more = f"{first} and {len(things) - 1} more" if len(things) > 1 else first
-            said.append(f"{verb} {more}")
-    return ", ".join(said) or "the scene changes"
+            phrases.append(f"{verb} {more}")
+    return ", ".join(phrases) or "the scene changes"
 
 
 def cut(name: str) -> str:

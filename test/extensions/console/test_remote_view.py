@@ -16,9 +16,9 @@ from construction_twin.extensions.console.remote_view import (
     COMPATIBLE,
     VERSION,
     ClosestView,
+    FreshReport,
     PlanProgress,
     PoseView,
-    Shown,
     ViewInputs,
     ViewWriter,
 )
@@ -31,15 +31,15 @@ MOMENT = Moment("c0ffee00", 81_234_567_890)
 INPUTS = ViewInputs(
     PoseView(1_795_369_597.39, 0.004, (1.5, math.pi / 3)),
     PoseView(1_795_369_597.388, 0.0061234567, (1.5, 1.0471)),
-    Shown(
+    FreshReport(
         SyncReport("IN_SYNC", "agree", "resume", "", (0.0, 0.0001), (0.001, 0.01), 0.03125, violations=3, agreed=True),
         0.01,
     ),
-    Shown(
+    FreshReport(
         LinkReport("ARMED", "well", "following", {"late_replies": "4", "controller_mode": "T1"}, gateway_kind="rsi"),
         0.7,
     ),
-    Shown(
+    FreshReport(
         ExecutionReport(
             "PLAYING", "plays p1", "p1", duration=8.0, rate=1.0, speed_limit=1.0, segment=1, segment_name="carry"
         ),
@@ -128,7 +128,7 @@ def test_what_version_5_adds_is_in_it():
 
     def controller(**counters: str) -> dict | None:
         told = {f"controller_{name}": value for name, value in counters.items()}
-        link = Shown(LinkReport("ARMED", "", "following", told, gateway_kind="rsi"), 0.0)
+        link = FreshReport(LinkReport("ARMED", "", "following", told, gateway_kind="rsi"), 0.0)
         return read(writer().write(NOW, replace(INPUTS, link=link), MOMENT))["link"]["controller"]
 
     assert controller(mode="T1", program="ACTIVE", override_percent="12.5", sentence="x") == {
@@ -158,7 +158,7 @@ def test_a_message_stays_small():
     pose = PoseView(NOW / NANOSECONDS, 0.0123456789, (-math.pi,) * 7)
     seven_values = (0.123456789,) * 7
     sync = SyncReport("HOLDING", "x" * 300, "resume", "", seven_values, seven_values, 0.03125, 0.02, 10**6)
-    inputs = ViewInputs(pose, pose, Shown(sync, 0.01), INPUTS.link, INPUTS.execution)
+    inputs = ViewInputs(pose, pose, FreshReport(sync, 0.01), INPUTS.link, INPUTS.execution)
     assert len(seven.write(NOW, inputs, MOMENT)) < 2500
 
 

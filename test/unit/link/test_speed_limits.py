@@ -48,8 +48,8 @@ def say(limits: SpeedLimits, fraction: float, seconds: float, name: str = "/sepa
 
 
 def test_before_anybody_limits_there_is_nothing_to_repeat():
-    assert made().report(START) is None
-    assert made(required=True).report(START) is None, "what is required then the executor does by itself"
+    assert made().state_report(START) is None
+    assert made(required=True).state_report(START) is None, "what is required then the executor does by itself"
 
 
 def test_the_lowest_wins_whoever_came_last():

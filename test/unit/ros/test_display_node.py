@@ -64,19 +64,19 @@ class Bench:
         self.messages = unplugged.published["plan_markers"]
         self._move_ghost, self._show_sync = unplugged.timers
 
-    def hear_plan(self, plan: Plan) -> None:
+    def receive_plan(self, plan: Plan) -> None:
         path = np.zeros((len(plan.trajectory.times), 3))
         self.callbacks["plan"](plan_to_msg(plan, "kr120/twin/base_link", path, CHANGES if plan.segments else ()))
 
-    def hear_scene(self, scene: Scene) -> None:
+    def receive_scene(self, scene: Scene) -> None:
         self.callbacks["scene"](scene_to_msg(scene, rospy.Time(1), "kr120/twin/base_link"))
 
-    def hear_twin(self, now: float, cycle: int, q=THERE) -> None:
+    def receive_twin(self, now: float, cycle: int, q=THERE) -> None:
         """Hear a pose of the twin, the one of a cycle of 20 ms."""
         self.now = now
         self.callbacks["twin/joint_states"](5 * NANOSECONDS + cycle * PERIOD, q)
 
-    def hear_sync(self, state: int) -> None:
+    def receive_sync(self, state: int) -> None:
         self.callbacks["sync"](Sync(state=state, reason="joint_a1 differs"))
         self._show_sync(None)
 
@@ -85,7 +85,7 @@ class Bench:
         self._move_ghost(None)
         self._show_sync(None)
 
-    def hear_rehearsal(self, message: Rehearsal) -> None:
+    def receive_rehearsal(self, message: Rehearsal) -> None:
         self.callbacks["rehearsal"](message)
 
     @property
@@ -115,8 +115,8 @@ def plain(monkeypatch) -> Bench:
 def test_the_twin_s_pose_is_published_with_velocities_and_its_own_stamp(plain):
     sent = plain.published["velocities/joint_states"]
     assert plain.diagnose().sentence == "the twin has no pose yet" and plain.diagnose().level != 0
-    plain.hear_twin(107.0, 0)
-    plain.hear_twin(107.001, 1, tuple(HOME + 0.01))
+    plain.receive_twin(107.0, 0)
+    plain.receive_twin(107.001, 1, tuple(HOME + 0.01))
     assert (sent[1].header.stamp.to_nsec(), tuple(sent[1].name)) == (5 * NANOSECONDS + PERIOD, ROBOT.joint_names)
     np.testing.assert_allclose(sent[1].position, HOME + 0.01)
     np.testing.assert_allclose(sent[1].velocity, 0.5)
@@ -129,8 +129,8 @@ def test_a_twin_that_falls_silent_in_mid_motion_is_shown_at_rest_once_and_watche
     plain.at(100.0)
     assert not sent, "it never had a pose"
     for back in (0, 1):
-        plain.hear_twin(110.0 + back, 100 * back)
-        plain.hear_twin(110.02 + back, 100 * back + 1, tuple(HOME + 0.01))
+        plain.receive_twin(110.0 + back, 100 * back)
+        plain.receive_twin(110.02 + back, 100 * back + 1, tuple(HOME + 0.01))
         plain.at(110.26 + back)
         assert len(sent) == 3 * back + 2 and max(sent[-1].velocity) > 0.4, "not silent yet"
         for later in (110.28, 110.5, 110.9):
@@ -192,7 +192,7 @@ def test_the_frames_lead_to_where_forward_kinematics_has_the_tool(plain):
 def test_the_ghost_hides_in_the_twin_and_keeps_its_frames_with_it(plain):
     plain.at(100.0)
     assert not plain.published["preview/joint_states"], "there is nothing to hide in"
-    plain.hear_twin(100.0, 0)
+    plain.receive_twin(100.0, 0)
     plain.at(100.04)
     assert plain.published["preview/joint_states"] == [(7 * NANOSECONDS, THERE)]
     frames = plain.published["/tf"][-1].transforms
@@ -204,8 +204,8 @@ def test_the_ghost_hides_in_the_twin_and_keeps_its_frames_with_it(plain):
 
 
 def test_the_arm_has_the_colour_of_the_state_until_nothing_is_heard_of_it(plain):
-    plain.hear_sync(Sync.HOLDING)
-    plain.hear_sync(Sync.HOLDING)
+    plain.receive_sync(Sync.HOLDING)
+    plain.receive_sync(Sync.HOLDING)
     plain.at(101.1)
     held, silent = plain.published["sync_markers"]
     for message, state in ((held, SyncState.HOLDING), (silent, SyncState.WAITING)):
@@ -218,7 +218,7 @@ def test_the_arm_has_the_colour_of_the_state_until_nothing_is_heard_of_it(plain)
 
 
 def test_a_state_that_nobody_knows_is_refused(plain):
-    plain.hear_sync(99)
+    plain.receive_sync(99)
     assert [reason for reason, _ in plain.refused] == ["sync"]
 
 
@@ -227,8 +227,8 @@ def test_a_state_that_nobody_knows_is_refused(plain):
 
 @pytest.fixture
 def bench(plain) -> Bench:
-    plain.hear_scene(SCENES[0])
-    plain.hear_plan(work_plan(SCENES))
+    plain.receive_scene(SCENES[0])
+    plain.receive_plan(work_plan(SCENES))
     return plain
 
 
@@ -295,7 +295,7 @@ def plain_plan() -> Plan:
 
 @pytest.fixture
 def rehearsed(plain) -> Bench:
-    plain.hear_scene(SCENES[0])
+    plain.receive_scene(SCENES[0])
     return plain
 
 
@@ -303,11 +303,11 @@ def rehearsed(plain) -> Bench:
 def test_the_rehearsal_of_the_plan_under_review_is_drawn_whichever_comes_first(rehearsed, first):
     plan = plain_plan()
     if first == "plan":
-        rehearsed.hear_plan(plan)
-    rehearsed.hear_rehearsal(rehearsal(plan))
+        rehearsed.receive_plan(plan)
+    rehearsed.receive_rehearsal(rehearsal(plan))
     if first == "rehearsal":
         assert rehearsed.messages == []
-        rehearsed.hear_plan(plan)
+        rehearsed.receive_plan(plan)
     assert rehearsed.namespaces() == PARTS
     markers = rehearsed.rehearsal
     assert {marker.header.frame_id for marker in markers} == {"kr120/twin/base_link"}
@@ -322,19 +322,19 @@ def test_the_rehearsal_of_the_plan_under_review_is_drawn_whichever_comes_first(r
 
 def test_one_that_is_not_what_its_hash_says_or_is_of_another_arm_is_refused(rehearsed):
     plan = plain_plan()
-    rehearsed.hear_plan(plan)
+    rehearsed.receive_plan(plan)
     forged = rehearsal(plan)
     forged.state = FAILED
-    rehearsed.hear_rehearsal(forged)
-    rehearsed.hear_rehearsal(rehearsal(plan, worst_pose=(0.0, 0.0)))
+    rehearsed.receive_rehearsal(forged)
+    rehearsed.receive_rehearsal(rehearsal(plan, worst_pose=(0.0, 0.0)))
     assert [reason for reason, _ in rehearsed.refused] == ["rehearsal", "rehearsal"]
     assert rehearsed.rehearsal == []
 
 
 def test_the_ghost_of_a_rehearsal_carries_what_the_arm_carries_then(rehearsed):
     plan = work_plan(SCENES)
-    rehearsed.hear_plan(plan)
-    rehearsed.hear_rehearsal(rehearsal(plan))
+    rehearsed.receive_plan(plan)
+    rehearsed.receive_rehearsal(rehearsal(plan))
     assert "rehearsal_carried" not in rehearsed.namespaces()
-    rehearsed.hear_rehearsal(rehearsal(plan, worst_time=plan.segments[0].end + 0.01))
+    rehearsed.receive_rehearsal(rehearsal(plan, worst_time=plan.segments[0].end + 0.01))
     assert "rehearsal_carried" in rehearsed.namespaces()

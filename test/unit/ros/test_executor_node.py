@@ -73,8 +73,8 @@ def test_who_has_armed_a_bare_plc_is_recorded_once_and_with_the_verdict(world, t
 
 
 def test_who_has_asked_for_a_session_or_set_the_speed_limit_is_recorded(world, tmp_path):
-    world.hear("session_request", SessionRequest(verb="reset", person="ada", lifts="stop 3"))
-    world.hear("speed_change", SpeedChange(person="dora", limit=0.6, before=0.3, whose="bob"))
+    world.receive("session_request", SessionRequest(verb="reset", person="ada", lifts="stop 3"))
+    world.receive("speed_change", SpeedChange(person="dora", limit=0.6, before=0.3, whose="bob"))
     world.node.do_background_work()
     session, speed = records(tmp_path)
     assert (session["record"], session["verb"], session["person"], session["lifts"]) == (
@@ -598,8 +598,8 @@ class TestWorkPlan:
         assert verdict["trajectory"] == plan.hash != plan.trajectory.content_hash()
 
     def test_a_report_that_makes_no_sense_is_refused_and_counted(self, work):
-        work.hear("tool", ToolState(known=True, inputs=["gripped"]))
-        work.hear("tool", ToolState(known=True, switch_ids=["a"], switch_states=[9], switch_reasons=[""]))
+        work.receive("tool", ToolState(known=True, inputs=["gripped"]))
+        work.receive("tool", ToolState(known=True, switch_ids=["a"], switch_states=[9], switch_reasons=[""]))
         assert [reason for reason, _ in work.refused] == ["tool", "tool"] and not work.executor.tool.known
 
     def test_in_an_engaged_segment_the_disk_knows_it_and_outside_not(self, work, tmp_path):

@@ -22,7 +22,7 @@ from construction_twin.monitor.states import SyncEvent, SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.ros.nodes import pca_monitor as module
 from construction_twin.ros.shared.diagnostics import OK, Diagnosis
-from construction_twin.ros.shared.stop_memory import PARAMETER
+from construction_twin.ros.shared.saved_parameter import PARAMETER
 from construction_twin.ros.transport.joint_stream import from_time, to_time
 from construction_twin.servo.model import JointServo, ServoModel
 

@@ -67,7 +67,7 @@ class MessageBoard:
     """The newest messages, oldest first, for several threads.
 
     Args:
-        tell: Takes the messages as JSON: at the first look, and after each change.
+        publish: Takes the messages as JSON: at the first look, and after each change.
         refuse: Takes as what, and why, a file that cannot be read or written is counted.
         file: Where they are kept; None: only in memory.
         clock: Returns the time of day [s since 1970].

@@ -222,7 +222,7 @@ _VIEWS = pydantic.TypeAdapter(View)
 
 
 @dataclass(frozen=True)
-class Shown(Generic[_Report]):
+class FreshReport(Generic[_Report]):
     """A report that is the present, and how long ago it was received [s]."""
 
     report: _Report
@@ -235,9 +235,9 @@ class ViewInputs:
 
     twin: PoseView | None = None
     arm: PoseView | None = None
-    sync: Shown[SyncReport] | None = None
-    link: Shown[LinkReport] | None = None
-    execution: Shown[ExecutionReport] | None = None
+    sync: FreshReport[SyncReport] | None = None
+    link: FreshReport[LinkReport] | None = None
+    execution: FreshReport[ExecutionReport] | None = None
     plan: str = ""
     closest: ClosestView | None = None
     progress: float = 0.0
@@ -298,13 +298,13 @@ class ViewWriter:
         return _VIEWS.dump_json(view)
 
 
-def _part(kind: type[_Part], shown: Shown | None, **known: object) -> _Part | None:
+def _part(kind: type[_Part], shown: FreshReport | None, **known: object) -> _Part | None:
     """Return what a view shows of a report: its fields of the same names, where they are not `known` otherwise."""
     if shown is None:
         return None
-    report, given = shown.report, {"state": shown.report.text, "age": shown.age, **known}
+    report, values = shown.report, {"state": shown.report.text, "age": shown.age, **known}
     names = [each.name for each in fields(kind)]  # type: ignore[arg-type]  # a part is a record
-    return kind(**{name: given[name] if name in given else getattr(report, name) for name in names})
+    return kind(**{name: values[name] if name in values else getattr(report, name) for name in names})
 
 
 def _speed(report: SpeedReport | None) -> SpeedView | None:
@@ -314,20 +314,22 @@ def _speed(report: SpeedReport | None) -> SpeedView | None:
     return SpeedView(report.limit, report.by, report.reason, report.people, report.person, since, *whose)
 
 
-def _round_trip_ms(sync: Shown[SyncReport] | None) -> float:
+def _round_trip_ms(sync: FreshReport[SyncReport] | None) -> float:
     # from a setpoint's passing of the gate to the arm's answer to it: the gate measures it, and it says how the link is
     return sync.report.round_trip * 1e3 if sync is not None else math.nan
 
 
-def _controller(shown: Shown[LinkReport] | None) -> ControllerView | None:
-    told = shown.report.gateway_counters if shown is not None else {}
-    mode, program, override = (told.get(f"controller_{name}", "") for name in ("mode", "program", "override_percent"))
+def _controller(shown: FreshReport[LinkReport] | None) -> ControllerView | None:
+    counters = shown.report.gateway_counters if shown is not None else {}
+    mode, program, override = (
+        counters.get(f"controller_{name}", "") for name in ("mode", "program", "override_percent")
+    )
     # the gateway has sent a number, and the bridge has checked that it is a number or a text
     percent = float(override) if _DIGITS.fullmatch(override) else None
     return ControllerView(mode, program, percent) if mode or program or percent is not None else None
 
 
-def _segment(shown: Shown[ExecutionReport] | None) -> SegmentNow | None:
+def _segment(shown: FreshReport[ExecutionReport] | None) -> SegmentNow | None:
     if shown is None or shown.report.segment < 0:
         return None
     report = shown.report

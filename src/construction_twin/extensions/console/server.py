@@ -290,8 +290,8 @@ def _file(folder: Path | None, name: str, who: str = "") -> web.FileResponse:
         found = False
     if not found:
         raise web.HTTPNotFound(text="no such file\n")
-    kept = "max-age=31536000, immutable" if _HASHED.search(path.name) else "no-cache"
-    return web.FileResponse(path, headers={"Cache-Control": who + kept})
+    caching = "max-age=31536000, immutable" if _HASHED.search(path.name) else "no-cache"
+    return web.FileResponse(path, headers={"Cache-Control": who + caching})
 
 
 def _is_own_error(record: logging.LogRecord) -> bool:

@@ -110,12 +110,12 @@ class Command:
         layout, make = config.layout, config.make
         if write_or_print(self._options.file, config.to_json()):
             tool = f"tool {config.tool.name}, {', '.join(make.tool_channels(layout))}" if config.tool else "no tool"
-            kept = (
+            unfilled = (
                 f"; not filled, so they stay as they are: {', '.join(layout.not_filled)}" if layout.not_filled else ""
             )
             print(
                 f"{self._options.file}: configuration {config.hash[:12]} of {config.robot}, {config.decimals} decimals; "
-                f"{make.words.protocol} on UDP port {layout.port}, {layout.summary}; {tool}{kept}"
+                f"{make.words.protocol} on UDP port {layout.port}, {layout.summary}; {tool}{unfilled}"
             )
         return Exit.DONE
 

@@ -127,7 +127,7 @@ class RobotFrames:
         self._root, self._place = model.get_root(), to_frame(place)
         moves = {name: Following(name, 1.0, 0.0) for name in robot.joint_names}
         moves |= {other.name: other.following for other in robot.other_joints if other.following is not None}
-        stands = {other.name: other.position for other in robot.other_joints if other.position is not None}
+        positions = {other.name: other.position for other in robot.other_joints if other.position is not None}
         # kept: its segments live in it
         self._segments = to_kdl(model.joints)
         self._still: list[tuple[str, str, PyKDL.Frame]] = []
@@ -140,7 +140,7 @@ class RobotFrames:
                 self._moving.append((joint.parent, joint.child, segment, leader, following))
                 continue
             frames = self._floating if joint.joint_type == "floating" else self._still
-            frames.append((joint.parent, joint.child, segment.pose(stands.get(joint.name, 0.0))))
+            frames.append((joint.parent, joint.child, segment.pose(positions.get(joint.name, 0.0))))
 
     def of_the_twin(self, prefix: str, stamp: genpy.Time) -> list[TransformStamped]:
         """Return what the stock nodes leave out of the twin: where it stands, and floating joints, which no joint state holds."""
@@ -275,8 +275,8 @@ class DisplayNode:
 
     def show_sync(self) -> None:
         """Make the picture of the state anew, and publish it where it has changed."""
-        heard, last = self._sync or (-math.inf, None)
-        if last is None or time.monotonic() - heard > SYNC_SILENCE:
+        received_at, last = self._sync or (-math.inf, None)
+        if last is None or time.monotonic() - received_at > SYNC_SILENCE:
             shown = SyncState.WAITING, "no report on sync: is pca_monitor running?", ""
         else:
             state, cause = SyncState(last.state), hold_cause(self._hold)

@@ -36,8 +36,8 @@ class MockRsiNode:
     def __init__(self, settings: MockSettings, robot: RobotModel, node_io: shell.NodeIO):
         self._settings, self._robot = settings, robot
         self._controller, after = build_controller(settings, robot), settings.restart_after
-        told = self._observe, rospy.loginfo
-        self._mock = MockRsi(self._controller, gateway_address(settings), after, *told, settings.fault_seed)
+        callbacks = self._observe, rospy.loginfo
+        self._mock = MockRsi(self._controller, gateway_address(settings), after, *callbacks, settings.fault_seed)
         #: For the publishing thread: ROS time [ns], the true axis angles [rad], [m], and the status where it is due.
         self._outbox: SimpleQueue[tuple[int, tuple[float, ...], dict | None] | None] = SimpleQueue()
         self._cycle = 0

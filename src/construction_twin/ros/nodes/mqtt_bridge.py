@@ -37,7 +37,7 @@ from construction_twin.ros.shared.diagnostics import OK, WARN, DeferredLog, Diag
 from construction_twin.ros.shared.gateway_config import config_of_link
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, connection_log
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.stop_memory import StopMemory
+from construction_twin.ros.shared.saved_parameter import SavedParameter
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.srv import ActAsSeen, TakeResponsibility
 
@@ -77,9 +77,9 @@ class MqttBridge:
         self._strings = JointStrings(codec, config.properties, bare, settings.max_state_age)
         # not private parameters: those hold settings, and these came about while a bridge ran
         mirrors, waits = node_io.parameters[MIRROR_MODE] is True, str(node_io.parameters[WAITS])
-        self._memories = [
-            StopMemory(said, node_io.parameter_writer(name), name)
-            for said, name in ((mirrors, MIRROR_MODE), (waits, WAITS))
+        self._saved_parameters = [
+            SavedParameter(value, node_io.parameter_writer(name), name)
+            for value, name in ((mirrors, MIRROR_MODE), (waits, WAITS))
         ]
         self._bridge = Bridge(config, bare, settings.reset_timeout, self._strings, new_id, mirrors, waits)
         self._supervisor = self._bridge.supervisor
@@ -131,8 +131,8 @@ class MqttBridge:
             values = self._supervisor.mirrors, self._bridge.waits
         if control is not None:
             self._send(control)
-        for memory, value in zip(self._memories, values):
-            memory.save(value, now)
+        for parameter, value in zip(self._saved_parameters, values):
+            parameter.save(value, now)
         self._publish_link(now)
         self._publish_tool()
 
@@ -144,9 +144,9 @@ class MqttBridge:
             self._side_effects.run("the log", self._log.add, rospy.loginfo, *line)
         return True
 
-    def _decide(self, decide: Callable[..., Control | None], *given: object) -> None:
+    def _decide(self, decide: Callable[..., Control | None], *arguments: object) -> None:
         with self._lock:
-            control = decide(*given)
+            control = decide(*arguments)
         if control is not None:
             self._send(control)
 
@@ -162,11 +162,11 @@ class MqttBridge:
         if not session:
             return
         try:
-            payload, beside = self._strings.encode_command(q, session, stamp)
+            payload, properties = self._strings.encode_command(q, session, stamp)
         except PayloadError as error:
             self._refuse(error)
             return
-        self._client.send_stream(self._topics.command, payload, beside)
+        self._client.send_stream(self._topics.command, payload, properties)
 
     def on_speed_limit(self, message: SpeedLimitInForce) -> None:
         """Pass the speed limit in force on."""
@@ -209,7 +209,7 @@ class MqttBridge:
         """Take the arm's pose, as a joint string with its user properties."""
         received, now = now_ns(), time.monotonic_ns()
         try:
-            q, beside = self._strings.decode_state(payload, pairs, retained, now)
+            q, properties = self._strings.decode_state(payload, pairs, retained, now)
         except PayloadError as error:
             self._diagnostics.refuse(f"state_{error.reason}", str(error))
             with self._lock:
@@ -218,7 +218,7 @@ class MqttBridge:
         with self._lock:
             self._supervisor.inputs.on_pose(q, now)
         # the gate's first: each program that looks on at the other takes its time from what comes after
-        self._feedback.publish(received, q, beside.seq, beside.command_stamp)
+        self._feedback.publish(received, q, properties.seq, properties.command_stamp)
         self._physical.publish(received, q)
 
     def on_status(self, payload: bytes) -> None:
@@ -316,7 +316,7 @@ class MqttBridge:
             state = self._supervisor.state
             sentence = f"{state.name}: {self._bridge.reason(self._connection.sentence)}"
             values = self._bridge.values() | self._side_effects.status_fields()
-        problems = [memory.fault for memory in self._memories]
+        problems = [parameter.fault for parameter in self._saved_parameters]
         if problem := next(filter(None, [*problems, self._side_effects.sentence]), ""):
             return Diagnosis(WARN, f"{sentence}; {problem}", values)
         return Diagnosis(OK if state in (LinkState.ARMED, LinkState.MIRROR) else WARN, sentence, values)

@@ -46,13 +46,13 @@ def first_meeting(
     Poses are checked between which no point moves further than the padding, and half of that is kept besides a quarter: a plan
     made with the whole padding is free. `world`: of our arm with all that it will carry.
     """
-    beside = world.with_neighbour((item.padded(0.75 * padding) for item in obstacles), alone=True)
+    combined = world.with_neighbour((item.padded(0.75 * padding) for item in obstacles), alone=True)
     times, qs = plan_rows(plan)
-    rows = key_rows(np.append(0.0, np.cumsum(np.abs(np.diff(qs, axis=0)) @ beside.levers)), padding)
-    index = beside.all_free(qs[rows])
+    rows = key_rows(np.append(0.0, np.cumsum(np.abs(np.diff(qs, axis=0)) @ combined.levers)), padding)
+    index = combined.all_free(qs[rows])
     if index is None:
         return None
-    contact = beside.contact(qs[rows[index]])
+    contact = combined.contact(qs[rows[index]])
     assert contact is not None, "all_free and contact disagree"
     return float(times[rows[index]]), contact
 
@@ -119,15 +119,15 @@ class NeighbourNode:
             return ""
         if scene is None:
             return "" if plays else Sentence("our own scene, with what the arm carries, was not received")
-        seen = plan, scene, occupied.obstacles
-        if self._checked is None or any(one is not other for one, other in zip(seen, self._checked)):
+        inputs = plan, scene, occupied.obstacles
+        if self._checked is None or any(one is not other for one, other in zip(inputs, self._checked)):
             if occupied.claim is not None and not plays:
                 # this takes about a second, in which no earlier word may start it
                 self._publish(
                     plan, Sentence("its path is being compared with a plan of the other arm; approve it after that")
                 )
             world = self._world.with_scene(self._own.carrying(plan, scene))
-            self._met, self._checked = first_meeting(world, plan, occupied.obstacles, self._padding), seen
+            self._met, self._checked = first_meeting(world, plan, occupied.obstacles, self._padding), inputs
             if self._other.claim() != occupied.claim:
                 # one of its plans was approved, or ended, during the comparison
                 return self._obstacle(plan, self._own.claim())

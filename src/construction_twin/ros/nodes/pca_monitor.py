@@ -33,7 +33,7 @@ from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, DeferredLog, Diagnosis
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import NodeSettings, robot_file, ros_home, settings_of
-from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
+from construction_twin.ros.shared.saved_parameter import PARAMETER, SavedParameter
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.servo.model import read_servos
@@ -87,10 +87,10 @@ class SpeedLimitService:
 
     def __init__(self, path: Path | None, node_io: shell.NodeIO):
         # the stricter of what executor and gateway are told holds here; without an arm there is no gateway
-        told = {
+        rule_parameters = {
             name: node_io.parameters[name] for name in ("executor", "gateway") if node_io.parameters[name] is not None
         }
-        rules = [settings_of(Rules, given, rospy.resolve_name(name)) for name, given in told.items()]
+        rules = [settings_of(Rules, given, rospy.resolve_name(name)) for name, given in rule_parameters.items()]
         deadline = min(each.speed_limit_deadline for each in rules)
         silent = min(each.speed_limit_silent for each in rules)
         program = SpeedLimit(deadline, silent, rules[0].speed_limit_required)
@@ -98,7 +98,7 @@ class SpeedLimitService:
         if name:
             # a process before this one has heard it: it is silent until it is heard again
             program.hear(float(fraction), name, time.monotonic_ns() - round(2e9 * deadline) - 1)
-        self._memory = StopMemory(node_io.parameters[PROGRAM], node_io.parameter_writer(PROGRAM), PROGRAM)
+        self._saved_program = SavedParameter(node_io.parameters[PROGRAM], node_io.parameter_writer(PROGRAM), PROGRAM)
         people, problem = read_people(path) if path else (NOBODY, "")
         self._limits = SpeedLimits(program, people, present(), problem)
         # what the file holds, and a lock that is held while the disk is waited for
@@ -156,8 +156,8 @@ class SpeedLimitService:
         with self._lock:
             self._publish()
             # it changes seldom, however often the limit does
-            memory = f"{int(100 * program.fraction_when_silent) / 100:g} {program.name}" if program.name else ""
-        self._memory.save(memory, time.monotonic_ns())
+            program_text = f"{int(100 * program.fraction_when_silent) / 100:g} {program.name}" if program.name else ""
+        self._saved_program.save(program_text, time.monotonic_ns())
 
     def _publish(self) -> None:
         if report := self._limits.state_report(time.monotonic_ns()):
@@ -171,7 +171,7 @@ class SpeedLimitService:
         limit, reason = (said.limit, said.reason) if said else (1.0, program.reason)
         values = {"speed limit": f"{limit:.3f}", "speed limit because": reason}
         slow = program.state in (LimitState.SILENT, LimitState.MISSING)
-        problem = self._file_problem or self._memory.fault
+        problem = self._file_problem or self._saved_program.fault
         level = ERROR if problem or self._limits.problem else WARN if slow else OK
         return Diagnosis(level, problem or f"speed limit {limit:g}: {reason}", values)
 
@@ -182,7 +182,7 @@ class PcaMonitorNode:
     def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
         # without an arm there is no broker, and nobody could raise what was set before
         has = shell.has_arm(settings)
-        kept = ros_home() / "construction_twin" / "speed_limits" / f"{robot.name}.json" if has else None
+        limits_file = ros_home() / "construction_twin" / "speed_limits" / f"{robot.name}.json" if has else None
         stopped_in, now = node_io.parameters[PARAMETER] if has else "", time.monotonic_ns()
         self._names, self._publishers, self._diagnostics = robot.joint_names, node_io.publishers, node_io.diagnostics
         self._command = node_io.publishers["command/joint_states"]
@@ -194,8 +194,8 @@ class PcaMonitorNode:
         rospy.loginfo("transitions are recorded in %s", transitions)
         self._transitions = TransitionLog(transitions, robot.joint_names)
         self._plan_to_joints = rospy.ServiceProxy("plan_to_joints", srv.PlanToJoints)
-        self._stopped = StopMemory(stopped_in, node_io.parameter_writer(PARAMETER))
-        self.speed = SpeedLimitService(kept, node_io)
+        self._saved_stop = SavedParameter(stopped_in, node_io.parameter_writer(PARAMETER))
+        self.speed = SpeedLimitService(limits_file, node_io)
         self._lock = threading.Lock()
         self._received_at = 0
         #: As it was told last; empty: not yet.
@@ -225,7 +225,7 @@ class PcaMonitorNode:
             self._collect_changes()
             stopped_in = self._monitor.stopped_in
         self._publish(now)
-        self._stopped.save(stopped_in, now)
+        self._saved_stop.save(stopped_in, now)
 
     def write_transitions(self) -> None:
         """Write the transitions to their logs, in a thread of its own: a disk that hangs must not silence `sync`."""
@@ -369,7 +369,7 @@ class PcaMonitorNode:
 
     def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
-        gate, speed, problem = self._gate, self.speed.diagnose(), self._transitions.problem or self._stopped.fault
+        gate, speed, problem = self._gate, self.speed.diagnose(), self._transitions.problem or self._saved_stop.fault
         level = ERROR if gate.state in _SERIOUS else OK if gate.state is SyncState.IN_SYNC else WARN
         limited = speed.sentence if speed.level != OK else ""
         sentence = "; ".join(filter(None, (f"{gate.state.name}: {gate.reason}", problem, limited)))

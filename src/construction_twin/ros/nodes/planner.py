@@ -77,8 +77,8 @@ def plan_request(request, source: str = "request") -> PlanRequest:
             "repeat the `moment` of `execution`, or give none"
         )
     names = ("duration", "speed_scale", "acceleration_scale", "waypoints")
-    given: dict[str, Any] = {name: getattr(request, name, None) or None for name in names}
-    return PlanRequest(asked=asked, source=request.source or source, **given)
+    options: dict[str, Any] = {name: getattr(request, name, None) or None for name in names}
+    return PlanRequest(asked=asked, source=request.source or source, **options)
 
 
 def tool_waypoints(waypoints: Iterable, base_T_frame: Pose) -> list[ToolWaypoint]:
@@ -121,11 +121,11 @@ class PlannerNode:
     def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
         self._robot = robot
         self._chain = Chain(self._robot)
-        self._beside = neighbour_settings()
+        self._neighbour = neighbour_settings()
         rng, ik = np.random.default_rng(settings.seed), IkSettings(budget_s=settings.ik_budget)
         solver, pairs = inverse_kinematics(self._chain, ik, rng, time.monotonic), settings.self_collision
-        occupied = self._occupied if self._beside is not None else None
-        given = (
+        occupied = self._occupied if self._neighbour is not None else None
+        parts = (
             solver,
             settings,
             read_self_collision(pairs, robot),
@@ -133,14 +133,14 @@ class PlannerNode:
             rospy.resolve_name("scene"),
             occupied,
         )
-        self._pipeline = PlanningPipeline(robot, *given)
+        self._pipeline = PlanningPipeline(robot, *parts)
         self._plans = 0
         self._last = "no plan asked for yet"
         self._diagnostics = node_io.diagnostics
         self._other: OtherArm | None = None
-        if self._beside is not None:
-            await_robot(self._beside.name)
-            self._other = listen_to_other_arm(self._robot.name, self._beside, self._diagnostics.refuse)
+        if self._neighbour is not None:
+            await_robot(self._neighbour.name)
+            self._other = listen_to_other_arm(self._robot.name, self._neighbour, self._diagnostics.refuse)
         self._frames = listen_to_frames(robot, settings.tf_prefix, TF_TIMEOUT, self._diagnostics.refuse)
         self._publisher, self._outcome_publisher = node_io.publishers["plan"], node_io.publishers["plan_outcome"]
         self._twin = node_io.poses["twin/joint_states"]
@@ -151,14 +151,14 @@ class PlannerNode:
     # -- the other arm
 
     def _occupied(self) -> list[Obstacle]:
-        assert self._other is not None and self._beside is not None
-        return [item.padded(self._beside.padding) for item in self._other.occupied().obstacles]
+        assert self._other is not None and self._neighbour is not None
+        return [item.padded(self._neighbour.padding) for item in self._other.occupied().obstacles]
 
     def _await_surroundings(self) -> None:
         """Wait for a scene whose publisher is connected: without it, the present surroundings of the arm are not known."""
-        seen = self._pipeline.scene
+        scene = self._pipeline.scene
         if not self._connections():
-            self._pipeline.forget_scene(seen)
+            self._pipeline.forget_scene(scene)
         self._pipeline.wait_for_scene(SCENE_TIMEOUT)
 
     # -- subscriptions
@@ -266,11 +266,11 @@ class PlannerNode:
             requires = tuple(from_msg(Signal, signal) for signal in left.requires)
 
             def plan() -> Plan:
-                made = self._pipeline.way_back(self._present_pose(), left.task, path, requires, asked)
-                if made.scene not in left.scenes:
-                    problem = scene_problem(made.scene, left.scenes)
+                way_back = self._pipeline.way_back(self._present_pose(), left.task, path, requires, asked)
+                if way_back.scene not in left.scenes:
+                    problem = scene_problem(way_back.scene, left.scenes)
                     raise PlanningError(Sentence("there is no way back now: {problem}", problem=problem))
-                return made
+                return way_back
 
             return plan
 

@@ -99,7 +99,7 @@ class StartupNode:
         named = settings.model_dump(exclude={"console", "gui"})
         self._startup = StartUp(Deployment(namespace=namespace, **named))
         self._refusals, self._refused = Refusals(), threading.Event()
-        self._said: set[str] = set()
+        self._logged: set[str] = set()
         self._clock, self._began = clock, clock()
         self._is_over = False
         #: Topics of which a message has come.
@@ -116,7 +116,7 @@ class StartupNode:
             )
         self._listener = RobotListener(namespace, robot)
         self._node_io = node_io
-        self._heard: set[str] = set()
+        self._unsubscribed: set[str] = set()
 
     def run(self) -> None:
         """Wait for the end of ROS, or end the launch: only at its start, so that no arm is left in the midst."""
@@ -135,11 +135,11 @@ class StartupNode:
         if self._refusals.sentences and not self._is_over:
             self._refused.set()
             return
-        for sentence in set(self._refusals.sentences) - self._said:
-            self._said.add(sentence)
+        for sentence in set(self._refusals.sentences) - self._logged:
+            self._logged.add(sentence)
             rospy.logerr("%s", sentence)
-        for topic in self.came - self._heard:
-            self._heard.add(topic)
+        for topic in self.came - self._unsubscribed:
+            self._unsubscribed.add(topic)
             self._node_io.unsubscribe(topic)  # one message of a 250 Hz stream is enough
         reports = {"link": snapshot.link, "sync": snapshot.sync, "execution": snapshot.execution}
         # a node that fell silent is not there
@@ -148,10 +148,10 @@ class StartupNode:
             for name, facts in reports.items()
             if facts is not None and name not in snapshot.silent
         }
-        told = snapshot.link.gateway_counters if snapshot.link is not None and "link" in words else {}
+        counters = snapshot.link.gateway_counters if snapshot.link is not None and "link" in words else {}
         link, sync, execution = (words.get(name) for name in reports)
         feedback, twin, scene = (topic in self.came for topic in (FEEDBACK, TWIN, SCENE))
-        inputs = StartupInputs(link, sync, execution, feedback, twin, scene, told.get("controller_sentence", ""))
+        inputs = StartupInputs(link, sync, execution, feedback, twin, scene, counters.get("controller_sentence", ""))
         for line in self._startup.update(inputs, now):
             waits = self._startup.missing is not None
             (rospy.logwarn if waits else rospy.loginfo)("%s", line)

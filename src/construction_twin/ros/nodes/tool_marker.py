@@ -177,7 +177,7 @@ class ToolMarkerNode:
         self._world: CollisionWorld | None = None
         self._place: Pose | None = None
         self._verdict: PoseVerdict | None = None
-        self._problem: str = "the twin's pose is not known yet"
+        self._fault: str = "the twin's pose is not known yet"
         self._drawn: MarkerArray | None = None
         self._finished = ""
         namespace = rospy.get_namespace()
@@ -275,7 +275,7 @@ class ToolMarkerNode:
         try:
             tool = self._chain.forward(self._twin.pose(MAX_POSE_AGE))
         except (PoseUnknownError, PayloadError) as error:
-            self._verdict, self._problem = None, str(error)
+            self._verdict, self._fault = None, str(error)
             return
         if self._place is None or moved(self._place, tool):
             self._place_marker(tool)
@@ -301,7 +301,7 @@ class ToolMarkerNode:
             seed = self._twin.pose(MAX_POSE_AGE)
             self._verdict = judge_pose(pose, seed, self._solver, self._world_of(scene))
         except ConstructionTwinError as error:
-            self._verdict, self._problem = None, str(error)
+            self._verdict, self._fault = None, str(error)
 
     def _world_of(self, scene: Scene) -> CollisionWorld:
         if self._world is None:
@@ -314,7 +314,7 @@ class ToolMarkerNode:
         if self._place is None:
             return
         verdict, plan = self._verdict, self._listener.under_review()
-        lines = [self._problem if verdict is None else verdict.sentence, self._shown_text]
+        lines = [self._fault if verdict is None else verdict.sentence, self._shown_text]
         if plan is not None:
             lines.append(waiting_plan(plan))
         reach = None if verdict is None else verdict.reach
@@ -328,7 +328,7 @@ class ToolMarkerNode:
         """Return the state for `/diagnostics`."""
         verdict = self._verdict
         if verdict is None:
-            return Diagnosis(WARN, self._problem)
+            return Diagnosis(WARN, self._fault)
         free = "free" if verdict.reach is Reach.FREE else "not free"
         return Diagnosis(
             OK, f"{'follows the tool' if self._menu.goal is None else f'goal is {free}'}: {verdict.sentence}"

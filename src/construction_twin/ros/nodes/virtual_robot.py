@@ -92,16 +92,16 @@ class VirtualRobotNode:
                 self._restarted.wait(idle / NANOSECONDS)
                 self._cycles.skip()
 
-    def _advance(self, stamp: int, commanded: tuple[float, ...], told: bool) -> None:
+    def _advance(self, stamp: int, commanded: tuple[float, ...], published: bool) -> None:
         """Simulate one cycle, and publish its poses with a stamp [ns] if they are to be told; under the lock."""
-        if told and self._gazebo is not None:
+        if published and self._gazebo is not None:
             # before it can be answered
             self._gazebo.told(stamp)
-        if told and self._commanded is not None:
+        if published and self._commanded is not None:
             # first: who decides what is commanded next waits for no simulation
             self._commanded.publish(stamp, commanded)
         pose = self._backend.cycle(commanded)
-        if not told or pose is None:
+        if not published or pose is None:
             return
         self._twin.publish(stamp, pose)
         if self._simulated is not None and abs(stamp - self._effort_at) >= EFFORT_PERIOD and self._backend.effort:

@@ -87,14 +87,14 @@ def await_master(timeout: float = TIMEOUT) -> None:
 
 def wait_for_master(name: str) -> None:
     """Return when the master answers, saying once that this takes longer; ConfigurationError where ROS_MASTER_URI is no address."""
-    said = False
+    printed = False
     while True:
         try:
             return await_master()
         except SilenceError as error:
-            if not said:
+            if not printed:
                 print(f"{name} waits: {error}", file=sys.stderr, flush=True)
-            said = True
+            printed = True
         time.sleep(_POLL)
 
 
@@ -145,13 +145,13 @@ def _query_node(name: str, address: str, patience: float) -> RunningNode | None:
     try:
         _, pid = ask(address, patience, "getPid")
         try:
-            code, told = ask(address, patience, "getName")
+            code, answered_name = ask(address, patience, "getName")
         except xmlrpc.client.Fault:
-            code, told = -1, ""  # roscpp has no such question
+            code, answered_name = -1, ""  # roscpp has no such question
     except ConnectionRefusedError:
         return None
     except FAILURES:
         return RunningNode(name, host, None)
-    if code == 1 and told != name:
+    if code == 1 and answered_name != name:
         return None
     return RunningNode(name, host, int(pid), has_name=code == 1)

@@ -16,7 +16,7 @@ from functools import partial
 import rospy
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.extensions.console.nodes.endpoint import REPEATED, Connection, Incoming, RequestQueue
+from construction_twin.extensions.console.nodes.endpoint import REPEATED, Connection, IncomingRequest, RequestQueue
 from construction_twin.link.requests import (
     AnswerRequest,
     ButtonPress,
@@ -109,7 +109,7 @@ class Acts:
                     service.open()
             time.sleep(CONNECT_PERIOD)
 
-    def _give_verdict(self, verdict: Verdict, request: Incoming) -> Outcome:
+    def _give_verdict(self, verdict: Verdict, request: IncomingRequest) -> Outcome:
         if not request.account and self._connection.proves_accounts:
             raise PayloadError(
                 "sender",
@@ -123,7 +123,7 @@ class Acts:
         # over the connection that is open, as a stop
         return Outcome.of(call_twice(self._services.reject, EXECUTOR, **fields))
 
-    def _start(self, known: deque[tuple[str, str]], wanted: ButtonPress, request: Incoming) -> Outcome:
+    def _start(self, known: deque[tuple[str, str]], wanted: ButtonPress, request: IncomingRequest) -> Outcome:
         kind, names = request.kind, (request.account, wanted.id)
         if names in known:
             # it must not start again what was paused since
@@ -133,15 +133,15 @@ class Acts:
         fields = {"act": kind.name, "person": request.account, "moment": wanted.moment}
         return Outcome.of(call(self._services.pressed[kind.name], _PROGRAMS[kind.by], **fields))
 
-    def _brake(self, _wanted: ButtonPress, request: Incoming) -> Outcome:
+    def _brake(self, _wanted: ButtonPress, request: IncomingRequest) -> Outcome:
         kind, fields = request.kind, {"act": request.kind.name, "person": request.account}
         return Outcome.of(call_twice(self._services.pressed[kind.name], _PROGRAMS[kind.by], **fields))
 
-    def _give_answer(self, asked: AnswerRequest, request: Incoming) -> Outcome:
+    def _give_answer(self, asked: AnswerRequest, request: IncomingRequest) -> Outcome:
         fields = {"task": asked.task, "question": asked.question, "answer": asked.answer, "person": request.account}
         return Outcome.of(call(self._services.decide, "the work", decision="answer", reason="by MQTT", **fields))
 
-    def _set_speed(self, asked: LowerSpeed | RaiseSpeed, request: Incoming) -> Outcome:
+    def _set_speed(self, asked: LowerSpeed | RaiseSpeed, request: IncomingRequest) -> Outcome:
         fields = {"limit": asked.limit, "person": request.account, "moment": asked.moment}
         return Outcome.of(call_twice(self._services.limit_speed, "pca_monitor", **fields))
 
@@ -153,7 +153,7 @@ class _Approvals(RequestQueue):
         super().__init__(WAITING)
         self._rejections = rejections
 
-    def enqueue(self, request: Incoming) -> None:
+    def enqueue(self, request: IncomingRequest) -> None:
         """Put a verdict into its queue."""
         if request.asked.verdict == "rejected":
             self._rejections.enqueue(request)

@@ -37,7 +37,7 @@ from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.persistent_service import ServiceSilentError
 
 Reader: TypeAlias = "type[Request] | Callable[[dict[str, Any]], Any]"
-Handler: TypeAlias = "Callable[[Any, Incoming], Outcome]"
+Handler: TypeAlias = "Callable[[Any, IncomingRequest], Outcome]"
 #: Reason of a PayloadError: it came before, and was answered then.
 REPEATED = "repeated"
 
@@ -147,7 +147,7 @@ class Endpoint:
 
     def on_message(self, message: MQTTMessage) -> None:
         """Take a message from the connection's thread."""
-        incoming = Incoming(self, "", bytes(message.payload), message.retain)
+        incoming = IncomingRequest(self, "", bytes(message.payload), message.retain)
         if self.topic.endswith("/+"):
             try:
                 incoming.account = account_of(message.topic)
@@ -164,10 +164,10 @@ class Endpoint:
         except PayloadError as error:
             incoming.refuse_unread(error)
             return
-        (Incoming.carry_out if self.queue is None else self.queue.enqueue)(incoming)
+        (IncomingRequest.carry_out if self.queue is None else self.queue.enqueue)(incoming)
 
 
-class Incoming:
+class IncomingRequest:
     """One request: its message, and all that is done with it. `account` is "" where the topic names none."""
 
     def __init__(self, endpoint: Endpoint, account: str, payload: bytes, retained: bool):
@@ -275,9 +275,9 @@ class NewestQueue:
     def __init__(self, most: int, pace: Pace):
         self._most, self._pace, self._limits = most, pace, SenderLimits(pace)
         self._news = threading.Condition()
-        self._waiting: dict[str, Incoming] = {}
+        self._waiting: dict[str, IncomingRequest] = {}
 
-    def admits(self, request: Incoming) -> bool:
+    def admits(self, request: IncomingRequest) -> bool:
         """Return whether a request is worth reading; what is not was counted."""
         fits = self._limits.take(request.account, _now_ns())
         if not fits:
@@ -285,7 +285,7 @@ class NewestQueue:
             request.count_refusal(f"{name}_rate", f"{name} too often from {request.account}: {self._pace}")
         return fits
 
-    def enqueue(self, request: Incoming) -> None:
+    def enqueue(self, request: IncomingRequest) -> None:
         """Queue a request in place of its sender's former one, or answer why not."""
         with self._news:
             former = self._waiting.get(request.account)
@@ -320,7 +320,7 @@ class RequestQueue:
         self._pace, self._limits = pace, None if pace is None else SenderLimits(pace)
         self._most, self._repeat_window = most, repeat_window
         self._lock = threading.Lock()
-        self._waiting: queue.Queue[Incoming] = queue.Queue(most)
+        self._waiting: queue.Queue[IncomingRequest] = queue.Queue(most)
         #: Digest of a request to its answer and when that was given; None: it is not answered yet.
         self._answered: dict[bytes, tuple[bytes | None, float]] = {}
 
@@ -329,7 +329,7 @@ class RequestQueue:
         """How many wait."""
         return self._waiting.qsize()
 
-    def admits(self, request: Incoming) -> bool:
+    def admits(self, request: IncomingRequest) -> bool:
         """Return whether a request is worth reading; what is not was answered: one that came before as it was then."""
         if self._repeat_window and self._is_repeated(request):
             return False
@@ -343,7 +343,7 @@ class RequestQueue:
         request.refuse_unread(PayloadError("busy", sentence))
         return False
 
-    def enqueue(self, request: Incoming) -> None:
+    def enqueue(self, request: IncomingRequest) -> None:
         """Queue a request, or answer why not."""
         now = _now_ns()
         self._record_answer(request, None)
@@ -366,7 +366,7 @@ class RequestQueue:
         except queue.Empty:
             return
 
-    def _is_repeated(self, request: Incoming) -> bool:
+    def _is_repeated(self, request: IncomingRequest) -> bool:
         now = time.monotonic()
         with self._lock:
             self._answered = {
@@ -380,10 +380,10 @@ class RequestQueue:
         request.repeat(answer or b"")
         return True
 
-    def _carry_out(self, request: Incoming) -> None:
+    def _carry_out(self, request: IncomingRequest) -> None:
         self._record_answer(request, request.carry_out())
 
-    def _record_answer(self, request: Incoming, answer: bytes | None) -> None:
+    def _record_answer(self, request: IncomingRequest, answer: bytes | None) -> None:
         if self._repeat_window:
             with self._lock:
                 self._answered[request.digest] = answer, time.monotonic()

@@ -39,9 +39,9 @@ from construction_twin.extensions.console.private_files import PrivateFiles
 from construction_twin.extensions.console.remote_review import PathView, scene_view
 from construction_twin.extensions.console.remote_view import (
     ClosestView,
+    FreshReport,
     PlanProgress,
     PoseView,
-    Shown,
     ViewInputs,
     ViewWriter,
 )
@@ -98,12 +98,12 @@ class _NewestReport(Generic[_Report]):
         self._newest = report, time.monotonic()
         return report
 
-    def shown(self, oldest: float = math.inf) -> Shown | None:
+    def fresh(self, oldest: float = math.inf) -> FreshReport | None:
         """Return it with its age; None: there is none, or it is older than that [s]."""
         newest = self._newest
         if newest is None or (age := time.monotonic() - newest[1]) > oldest:
             return None
-        return Shown(newest[0], age)
+        return FreshReport(newest[0], age)
 
 
 class ConsoleFeed:
@@ -278,7 +278,7 @@ class ConsoleFeed:
 
     def is_engaged(self) -> bool:
         """Return whether only the way back can be planned."""
-        execution = self._execution.shown()
+        execution = self._execution.fresh()
         return execution is not None and bool(execution.report.engaged)
 
     def first(self) -> tuple[str, bytes, bool]:
@@ -303,7 +303,7 @@ class ConsoleFeed:
 
     def view_inputs(self) -> ViewInputs:
         """Return the inputs of the present view."""
-        sync, execution, speed = self._sync.shown(SYNC_AGE), self._present_execution(), self._speed.shown(SPEED_AGE)
+        sync, execution, speed = self._sync.fresh(SYNC_AGE), self._present_execution(), self._speed.fresh(SPEED_AGE)
         with self._lock:
             progress = self._progress.at(now_ns() / NANOSECONDS)
         return ViewInputs(
@@ -311,7 +311,7 @@ class ConsoleFeed:
             arm=_pose_view(self._poses.get(ARM)),
             expected=_pose_view(self._poses.get(EXPECTED)),
             sync=sync,
-            link=self._link.shown(LINK_AGE),
+            link=self._link.fresh(LINK_AGE),
             execution=execution,
             plan=self._plan(),
             closest=self._closest(),
@@ -320,8 +320,8 @@ class ConsoleFeed:
             speed=speed.report if speed is not None else None,
         )
 
-    def _present_execution(self) -> Shown[ExecutionReport] | None:
-        return self._execution.shown() if self._executor_is_there() else None
+    def _present_execution(self) -> FreshReport[ExecutionReport] | None:
+        return self._execution.fresh() if self._executor_is_there() else None
 
     def publish_status_line(self) -> None:
         """Send the status line when it has changed, or was not sent for a while."""
@@ -329,7 +329,7 @@ class ConsoleFeed:
         if now - self._updated_at < UPDATE_PERIOD:
             return
         self._updated_at = now
-        lines = self._lines(self._link.shown(LINK_AGE), self._sync.shown(SYNC_AGE), self._present_execution())
+        lines = self._lines(self._link.fresh(LINK_AGE), self._sync.fresh(SYNC_AGE), self._present_execution())
         self.messages.on_lines(lines)
         payload = dumped(lines, marks=SPACED)
         if payload == self._published and now - self._published_at < REPEAT:
@@ -338,7 +338,10 @@ class ConsoleFeed:
         self._connection.publish(self._topics.screen, payload)
 
     def _lines(
-        self, link: Shown[LinkReport] | None, sync: Shown[SyncReport] | None, execution: Shown[ExecutionReport] | None
+        self,
+        link: FreshReport[LinkReport] | None,
+        sync: FreshReport[SyncReport] | None,
+        execution: FreshReport[ExecutionReport] | None,
     ) -> list[Line]:
         words = _reported_state(link), _reported_state(sync), _reported_state(execution)
         deployment = self._deployment
@@ -370,7 +373,7 @@ def _path_of(message: Plan) -> bytes:
     return PathView(message.id, stamps, path).to_json(PATH_POINTS, segment_ends(message, times))
 
 
-def _reported_state(shown: Shown | None) -> ReportedState | None:
+def _reported_state(shown: FreshReport | None) -> ReportedState | None:
     if shown is None:
         return None
     return ReportedState(shown.report.text, shown.report.reason, getattr(shown.report, "gateway_state", ""))

@@ -17,7 +17,7 @@ from construction_twin.core.errors import ConfigurationError, PayloadError
 from construction_twin.core.extensions import extension
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.extensions.console.nodes.endpoint import Connection, Incoming, NewestQueue, RequestQueue
+from construction_twin.extensions.console.nodes.endpoint import Connection, IncomingRequest, NewestQueue, RequestQueue
 from construction_twin.extensions.console.remote_view import ClosestView
 from construction_twin.link.requests import GoalRequest, IkRequest, Joints, read_goal
 from construction_twin.mqtt.requests import IK, NAMELESS_TRAJECTORY, PLAN_REQUEST, TRAJECTORY
@@ -155,7 +155,7 @@ class ConsoleRequests:
 
     # -- motions
 
-    def _check_motion(self, asked: Any, request: Incoming) -> Outcome:
+    def _check_motion(self, asked: Any, request: IncomingRequest) -> Outcome:
         """Have a motion, a `TrajectoryRequest` of the extension planners, checked and timed."""
         answer = call(
             self._plan_trajectory,
@@ -171,7 +171,7 @@ class ConsoleRequests:
 
     # -- plan requests
 
-    def _plan(self, asked: GoalRequest, request: Incoming) -> Outcome:
+    def _plan(self, asked: GoalRequest, request: IncomingRequest) -> Outcome:
         kind = asked.kind
         if kind == "way_back" and self._context.has_work() and self._context.is_engaged():
             # the node `work` makes the scene right before it has the way back planned
@@ -187,7 +187,7 @@ class ConsoleRequests:
 
     # -- IK requests
 
-    def _solve(self, asked: IkRequest, _request: Incoming) -> Outcome:
+    def _solve(self, asked: IkRequest, _request: IncomingRequest) -> Outcome:
         seed = self._joints.in_order(asked.seed, "seed") if asked.seed else tuple(self._context.twin())
         if not seed:
             return Outcome(False, Sentence("the twin's pose is not known, and no seed was given"))

@@ -114,10 +114,10 @@ class ShownPlan:
                 self._change(PlanBoard.restart)
             self._session = message.session
 
-    def _change(self, change: Callable[..., None], *given: str) -> None:
+    def _change(self, change: Callable[..., None], *arguments: str) -> None:
         with self._lock:
             for board in (self._board, self._rehearsals):
-                change(board, *given)
+                change(board, *arguments)
         self._publish_plan()
         self.publish_rehearsal()
 

@@ -1,4 +1,4 @@
-"""Keeps a value on the parameter server for the process after this one, such as why the link waits for a person."""
+"""Saves a value on the parameter server for the process after this one, such as why the link waits for a person."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PARAMETER = "stopped_session"
 _RETRY = NANOSECONDS
 
 
-class StopMemory:
+class SavedParameter:
     """A text, "" for nothing, or a bool on the parameter server, written by a thread that may wait; `fault`: why it was not."""
 
     def __init__(self, value: object, write: Callable[[Any], object], name: str = PARAMETER):
