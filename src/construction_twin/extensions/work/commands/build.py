@@ -88,19 +88,19 @@ class Builder:
         )
         wanted = [task.id for task in self._work_tasks.tasks][: self._settings.most or None]
         self._efforts = {task: {"plans": 0, "planning_s": 0.0, "motion_s": 0.0} for task in wanted}
-        problem = ""
+        failure = ""
         try:
             for number, task in enumerate(wanted, start=1):
                 self._finish_task(task, f"{number} of {len(wanted)}")
         except (ConstructionTwinError, rospy.ROSException, rospy.ServiceException) as error:
-            problem = str(error)
+            failure = str(error)
         tasks = [task for task in from_msg(WorkReport, self._work_tasks).tasks if task.id in self._efforts]
         missing = [task.name for task in tasks if task.state != "done"]
-        if missing and not problem:
-            problem = f"{len(missing)} of {len(wanted)} tasks are not done: {', '.join(missing)}"
+        if missing and not failure:
+            failure = f"{len(missing)} of {len(wanted)} tasks are not done: {', '.join(missing)}"
         file = self._write(tasks)
-        if problem:
-            raise ConstructionTwinError(f"{problem}; see {file}")
+        if failure:
+            raise ConstructionTwinError(f"{failure}; see {file}")
         return file
 
     def _write(self, tasks: Collection[TaskReport]) -> Path:
