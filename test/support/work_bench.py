@@ -61,7 +61,7 @@ FLOOR = SceneObject("floor", "box", (20.0, 20.0, 1.0), (0.0, 0.0, -0.5))
 FETCH, GRIP, CARRY, LEAVE = range(4)
 
 
-def prepared() -> LoadedModel:
+def loaded_model() -> LoadedModel:
     """Return a model of one element, which one task places."""
     goal, stock = (product(_CHAIN.forward(q), HELD) for q in (AT_GOAL, AT_STOCK))
     facts = ElementFacts("stud", (BODY,), goal, np.zeros((1, 3, 3)))
@@ -134,7 +134,7 @@ class Bench:
             model="panel.ifc", cell="/cell.yaml", self_collision="", tf_prefix="",
             folder="work", arm="mock", service_timeout=1.0, listen_time=0.02, retry_time=0.01,
         ).model_copy(update=files)  # fmt: skip
-        made = worker or SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=self._planned, close=None)
+        made = worker or SimpleNamespace(ask_first=lambda *_, **__: loaded_model(), ask=self._planned, close=None)
         self._patch(module, "Worker", lambda _program: made)
         poses = {"twin": lambda *_: HOME, "physical": lambda *_: self.arm_pose()}
         takers = {"tasks": lambda message: self.tasks.append(over_the_wire(message)), "markers": lambda _: None}

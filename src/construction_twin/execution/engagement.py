@@ -151,7 +151,7 @@ class EngagementKeeper:
             return
         self._unseen = False
         path = self.present.path
-        entry = path.entry(np.asarray(pose, dtype=np.float64))
+        entry = path.nearest_point(np.asarray(pose, dtype=np.float64))
         away = np.abs(path.trajectory.sample(entry.time)[0] - path.trajectory.positions[0]).max()
         # a path that comes by there again has its last passage later
         if max(entry.distance, away) <= WAY_BACK_TOLERANCE and entry.time <= 0.5 * path.end:
@@ -238,7 +238,7 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
         raise ReviewError(Sentence("plan {plan} is not the way back: {problem}", plan=plan.id, problem=problem))
     trajectory, path = plan.trajectory, engagement.path
     start = trajectory.positions[0]
-    entry = path.entry(start)
+    entry = path.nearest_point(start)
     if entry.distance > LARGEST_ENTRY:
         raise ReviewError(
             Sentence(

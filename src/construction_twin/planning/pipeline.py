@@ -101,7 +101,7 @@ def way_back(path: ExecutedPath, present: JointValues, robot: RobotModel) -> Tra
     if path.trajectory.joint_names != tuple(robot.joint_names):
         names = {"found": ", ".join(path.trajectory.joint_names), "joints": ", ".join(robot.joint_names)}
         raise PlanningError(Sentence("the executed path is one of {found}; expected {joints}", **names))
-    entry = path.entry(pose)
+    entry = path.nearest_point(pose)
     if entry.distance > LARGEST_ENTRY:
         values = {"away": Quantity(entry.distance, "rad"), "most": Quantity(LARGEST_ENTRY, "rad")}
         far = Sentence("a joint is {away} (or mm) beside the executed path, at most {most}; free it by hand", **values)

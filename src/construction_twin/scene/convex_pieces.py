@@ -48,7 +48,7 @@ _Plane = tuple[np.ndarray, float]
 
 
 @dataclass(frozen=True, eq=False)
-class Pieces:
+class ConvexPieces:
     """Convex pieces that together hold all of a mesh.
 
     Attributes:
@@ -63,7 +63,7 @@ class Pieces:
     whole: tuple[np.ndarray, np.ndarray] | None = None
 
 
-def convex_pieces(vertices: np.ndarray, triangles: np.ndarray) -> Pieces | None:
+def convex_pieces(vertices: np.ndarray, triangles: np.ndarray) -> ConvexPieces | None:
     """Return convex pieces of what a mesh encloses, the same for the same mesh; None: not closed, too fine, or too many pieces."""
     if len(triangles) > MOST_TRIANGLES:
         return None
@@ -73,7 +73,7 @@ def convex_pieces(vertices: np.ndarray, triangles: np.ndarray) -> Pieces | None:
 
 
 @lru_cache(maxsize=_KEPT)
-def _divided(corners: bytes, indices: bytes) -> Pieces | None:
+def _divided(corners: bytes, indices: bytes) -> ConvexPieces | None:
     vertices, triangles = np.frombuffer(corners).reshape(-1, 3), np.frombuffer(indices, dtype=np.int64).reshape(-1, 3)
     closed = solid(vertices, triangles)
     if closed is None:
@@ -86,7 +86,7 @@ def _divided(corners: bytes, indices: bytes) -> Pieces | None:
     if cells is not None:
         more = sum(hull_solid(points).volume() for points in cells) - closed.volume()
         if abs(more) <= HELD * closed.surface_area() and farthest_outside(vertices, cells) <= HELD:
-            return Pieces(tuple(cells))
+            return ConvexPieces(tuple(cells))
     covered = _covered(closed, min(_AIM, _AIM_SHARE * float(np.ptp(vertices, axis=0).max())))
     missing = closed.volume() - sum(part.body.volume() for part in covered)
     pieces = sorted((part.corners for part in covered), key=lambda one: np.round(one.min(axis=0), 6).tolist())
@@ -94,7 +94,9 @@ def _divided(corners: bytes, indices: bytes) -> Pieces | None:
         return None
     if farthest_outside(vertices, pieces) > HELD:
         return None
-    return Pieces(tuple(pieces), max(max(part.reach for part in covered), _excess(closed, pieces)), mesh_of(closed))
+    return ConvexPieces(
+        tuple(pieces), max(max(part.reach for part in covered), _excess(closed, pieces)), mesh_of(closed)
+    )
 
 
 def _excess(body: manifold3d.Manifold, pieces: Sequence[np.ndarray]) -> float:

@@ -28,7 +28,6 @@ from work_samples import (
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work import decisions, process
 from construction_twin.extensions.work.errors import LedgerError
-from construction_twin.extensions.work.following import events_after_restart
 from construction_twin.extensions.work.layout import StockPlan
 from construction_twin.extensions.work.ledger import Ledger
 from construction_twin.extensions.work.loaded_model import LoadedModel
@@ -36,6 +35,7 @@ from construction_twin.extensions.work.process import read_recipes
 from construction_twin.extensions.work.received_messages import GripReading
 from construction_twin.extensions.work.schedule import Job, Schedule
 from construction_twin.extensions.work.task_memory import Entry, NotNow, TaskMemory, TaskState
+from construction_twin.extensions.work.task_recorder import events_after_restart
 from construction_twin.extensions.work.worker_functions import PlanningContext
 from construction_twin.planning.planner import PlanRequest
 from construction_twin.planning.request_limits import PlanBounds
@@ -124,9 +124,9 @@ def test_the_check_before_the_work_plans_it_too(work):
 # -- its ledger
 
 
-def prepared() -> LoadedModel:
+def loaded_model() -> LoadedModel:
     """Return the bench's model, whose one element is touched where it stands."""
-    made = work_bench.prepared()
+    made = work_bench.loaded_model()
     touched = replace(made.schedule.job(work_bench.TASK), process="touch")
     return replace(made, stock=StockPlan({}), schedule=Schedule((touched,), ()))
 
@@ -154,7 +154,7 @@ def begin(one: Bench) -> None:
     plan = lambda *_, **__: SimpleNamespace(  # noqa: E731
         method="point 0 0 0 mm", segments=segments(), tool0_T_element=None
     )
-    one.start(SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=plan, close=None))
+    one.start(SimpleNamespace(ask_first=lambda *_, **__: loaded_model(), ask=plan, close=None))
 
 
 @pytest.mark.parametrize(("answer", "state"), [("done", "done"), ("not_done", "ready")])

@@ -55,7 +55,7 @@ def clock() -> Clock:
     return Clock()
 
 
-def prepared(proposed: bool = False) -> LoadedModel:
+def loaded_model(proposed: bool = False) -> LoadedModel:
     elements, slots = {}, {}
     for number, job in zip(count(1), JOBS):
         body = SceneObject(f"{job.element}/0", "box", (0.1, 0.1, 0.1))
@@ -68,7 +68,7 @@ def prepared(proposed: bool = False) -> LoadedModel:
 
 
 def board(tmp_path: Path, clock: Clock, proposed: bool = False, robot: str = "kr120") -> TaskBoard:
-    ready = prepared(proposed)
+    ready = loaded_model(proposed)
     return TaskBoard(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), robot, "tool0")
 
 
@@ -227,7 +227,7 @@ def test_a_measured_pose_replaces_the_arms(tmp_path, clock):
 
 
 def test_an_element_that_can_never_be_planned_stops_only_what_waits_for_it(tmp_path, clock):
-    ready = prepared()
+    ready = loaded_model()
     slots = {element: slot for element, slot in ready.stock.slots.items() if element != "E2"}
     bodiless = replace(ready.elements["E2"], bodies=(), triangles=np.empty((0, 3, 3)))
     ready = replace(
@@ -345,7 +345,7 @@ def test_people_see_what_comes_next_what_is_there_and_what_is_off(tmp_path, cloc
 
 
 def test_what_stands_and_is_no_longer_in_the_model_is_not_tidied_away(tmp_path, clock):
-    ready = prepared()
+    ready = loaded_model()
     former = Ledger(tmp_path / "ledger", {"T9": ()}, "b" * 64, clock, "/cell.yaml", {"E9": "T9"})
     for event in ("offered", "begun", "gripping", "gripped", "releasing", "released", "finished"):
         former.add(Entry(event, "T9", "E9", pose=pose_tuple(at(1.0))))
@@ -374,7 +374,7 @@ def test_an_element_that_was_turned_by_its_symmetry_is_not_wrong():
 
 def with_removal(tmp_path: Path, clock: Clock) -> TaskBoard:
     """A task board whose first job waits for an element to be taken down."""
-    ready = prepared()
+    ready = loaded_model()
     down = Job("D1", "D1", "Take down wall", "W1", (), ())
     jobs = (replace(JOBS[0], after=(Wait("D1", True, 0.0),)), *JOBS[1:])
     remarks = {"D1": ("the arm takes nothing down",), "T1": ("THE MASS IS DOUBTFUL",)}

@@ -216,15 +216,15 @@ def test_an_element_is_placed_then_touched_where_it_stands_and_each_is_in_the_le
 
 def of_two(tmp_path, model="a" * 64) -> TaskBoard:
     """A task board whose one element is placed, then touched."""
-    ready = prepared()
+    ready = loaded_model()
     times = count(10**18)
     ledger = Ledger(tmp_path / "l", ready.after, model, times.__next__, "", ready.schedule.placing)
     return TaskBoard(ready, ledger, "kr120", "tool0")
 
 
-def prepared():
+def loaded_model():
     """Return the bench's model, with a second task that touches its element."""
-    made = work_bench.prepared()
+    made = work_bench.loaded_model()
     touch = Job(TOUCH, TOUCH, "Touch stud", ELEMENT, (), (Wait(PLACE, True, 0.0),), "touch")
     return replace(made, schedule=Schedule((*made.schedule.jobs, touch), ()))
 
@@ -295,7 +295,7 @@ def test_what_a_former_task_placed_is_touched_there_and_only_what_moves_it_is_as
     )
     stands = one.built.wanted_scene()[0][f"{ELEMENT}/0"]
     one.ledger.close()
-    ready = prepared()
+    ready = loaded_model()
     alone = replace(ready.schedule.job(TOUCH), after=())
     ready = replace(ready, schedule=Schedule((alone,), ()), digest="b" * 64)
     ledger = Ledger(tmp_path / "l", ready.after, ready.digest, lambda: 1, "", {}, ready.standing_elements)
@@ -307,7 +307,7 @@ def test_what_a_former_task_placed_is_touched_there_and_only_what_moves_it_is_as
 
 
 def test_what_was_taken_down_is_not_worked_on(tmp_path):
-    ready = prepared()
+    ready = loaded_model()
     removal = Job("D", "D", "Take down", ELEMENT, (), ())
     touch = replace(ready.schedule.job(TOUCH), after=())
     ready = replace(ready, schedule=Schedule((touch,), (), False, (removal,)))
@@ -332,7 +332,7 @@ def test_the_node_has_both_planned_and_follows_them_one_after_the_other(monkeypa
         touch = replace(parts[CARRY], name="touch", trajectory=there, **same)
         return SimpleNamespace(method="point", segments=(touch, replace(parts[LEAVE], **same)), tool0_T_element=None)
 
-    bench.start(SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=plan, close=None))
+    bench.start(SimpleNamespace(ask_first=lambda *_, **__: loaded_model(), ask=plan, close=None))
     bench.carrying().play(CARRY, True).tool(False)
     bench.play(CARRY, True, True).play(LEAVE)
     bench.execution(Execution.IDLE, plan_id=bench.plan.id, outcome="finished")

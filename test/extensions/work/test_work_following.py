@@ -10,7 +10,10 @@ import pytest
 import work_samples
 
 from construction_twin.core.reports import ExecutionReport
-from construction_twin.extensions.work.following import (
+from construction_twin.extensions.work.ledger import Ledger
+from construction_twin.extensions.work.received_messages import GripReading, grip_of
+from construction_twin.extensions.work.task_memory import PLANNABLE, SETTLED, Entry, TaskMemory, TaskState
+from construction_twin.extensions.work.task_recorder import (
     FINISHED,
     PlanActions,
     actions_by_outcome,
@@ -18,9 +21,6 @@ from construction_twin.extensions.work.following import (
     events_of_report,
     plan_actions,
 )
-from construction_twin.extensions.work.ledger import Ledger
-from construction_twin.extensions.work.received_messages import GripReading, grip_of
-from construction_twin.extensions.work.task_memory import PLANNABLE, SETTLED, Entry, TaskMemory, TaskState
 from construction_twin.review.record import Fate
 from construction_twin.robot.segments import Segment, Switch
 from construction_twin.scene.objects import SceneObject

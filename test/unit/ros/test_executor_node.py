@@ -548,7 +548,7 @@ class WorkWorld(World):
         """Approve the way back."""
         left = self.executor.engagement.present
         pose = [message[1] for name, message in self.said if name == "next/joint_states"][-1]
-        motion = motion_back(left.path, left.path.entry(pose).time)
+        motion = motion_back(left.path, left.path.nearest_point(pose).time)
         self.offer(plan_back(motion, left.requires(self.executor.tool), "5ce1e", asked_ns=self.booted + NANOSECONDS))
         assert self.review(self.executor.under_review.plan).success
 

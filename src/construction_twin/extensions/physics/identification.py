@@ -37,8 +37,8 @@ _GUESSES = (25.0, 60.0, 150.0)
 
 
 @dataclass(frozen=True)
-class Drive:
-    """A stretch of a recording without a gap, from rest: one row per cycle.
+class RecordedMotion:
+    """A recorded motion without a gap, from rest: one row per cycle.
 
     Attributes:
         targets, measured: Shape (m, n). What the controller took, and where the arm was at the end of the cycle [rad].
@@ -68,7 +68,7 @@ class IdentifiedJoint:
     residual_max: float
 
 
-def identify(names: Sequence[str], drives: Sequence[Drive], cycle_ns: int) -> tuple[IdentifiedJoint, ...]:
+def identify(names: Sequence[str], drives: Sequence[RecordedMotion], cycle_ns: int) -> tuple[IdentifiedJoint, ...]:
     """Find the servo of every joint; `cycle_ns`: of the controller [ns]."""
     if not drives or not sum(int(drive.counts.sum()) for drive in drives):
         raise ConstructionTwinError(NO_MOTION)
@@ -126,14 +126,14 @@ def _with_backlash(x: np.ndarray, play: float) -> np.ndarray:
     return np.array(out)
 
 
-def _moving(drive: Drive, joint: int, period: float) -> np.ndarray:
+def _moving(drive: RecordedMotion, joint: int, period: float) -> np.ndarray:
     """Return which judged rows are in motion, or less than 0.2 s after it, shape (m,)."""
     speed = np.abs(np.diff(drive.targets[:, joint], prepend=drive.targets[0, joint])) / period
     recent = np.convolve(speed > SPEED / 10.0, np.ones(round(0.2 / period)))[: len(speed)] > 0
     return drive.counts & recent
 
 
-def _excited(drives: Sequence[Drive], joint: int, period: float) -> bool:
+def _excited(drives: Sequence[RecordedMotion], joint: int, period: float) -> bool:
     travel = speed = 0.0
     samples = 0
     for drive in drives:
@@ -149,7 +149,7 @@ def _excited(drives: Sequence[Drive], joint: int, period: float) -> bool:
 class _Fit:
     """The fit of one joint."""
 
-    def __init__(self, drives: Sequence[Drive], joint: int, period: float):
+    def __init__(self, drives: Sequence[RecordedMotion], joint: int, period: float):
         self._period = period
         self._drives = [(drive.targets[:, joint], drive.measured[:, joint]) for drive in drives]
         self._rows = [_moving(drive, joint, period) for drive in drives]

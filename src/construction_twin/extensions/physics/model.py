@@ -40,7 +40,7 @@ mujoco.set_mju_user_warning(lambda _message: None)
 
 
 @dataclass(frozen=True)
-class Follower:
+class MimicJoint:
     """A joint that follows another: ``factor`` times its value, plus ``offset`` [rad] or [m]."""
 
     place: int
@@ -72,7 +72,7 @@ class PhysicsModel:
     drives: ArmDrives
     owners: tuple[str, ...]
     loose: Mapping[str, int]
-    followers: tuple[Follower, ...]
+    followers: tuple[MimicJoint, ...]
     shares: np.ndarray | None
     inertias: np.ndarray
     related: np.ndarray
@@ -402,11 +402,11 @@ def _unplanned(owners: Sequence[str], checked: set[frozenset[str]]) -> np.ndarra
     return found
 
 
-def _followers(model: mujoco.MjModel) -> tuple[Follower, ...]:
+def _followers(model: mujoco.MjModel) -> tuple[MimicJoint, ...]:
     """Return the joints that are tied to others."""
     places = model.jnt_dofadr[np.column_stack((model.eq_obj1id, model.eq_obj2id))].tolist()
     return tuple(
-        Follower(place, leader, float(factor), float(offset))
+        MimicJoint(place, leader, float(factor), float(offset))
         for (place, leader), (offset, factor) in zip(places, model.eq_data[:, :2])
     )
 

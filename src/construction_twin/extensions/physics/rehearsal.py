@@ -26,7 +26,14 @@ from construction_twin.extensions.physics.judgement import SETTLING, STAYS, STAY
 from construction_twin.extensions.physics.known_mass import TOOL, body_of
 from construction_twin.extensions.physics.mass import MassProperties
 from construction_twin.extensions.physics.model import Load, PhysicsModel, build_model
-from construction_twin.extensions.physics.standing import MOST, STILL, Standing, come_to_rest, displacement, nearest
+from construction_twin.extensions.physics.standing import (
+    MOST,
+    STILL,
+    RestingBodies,
+    come_to_rest,
+    displacement,
+    nearest,
+)
 from construction_twin.review.rehearsal_report import (
     FAILED,
     PASSED,
@@ -42,7 +49,7 @@ from construction_twin.review.rehearsal_report import (
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_bodies import RobotBodies
-from construction_twin.scene.objects import Scene, SceneObject, listed
+from construction_twin.scene.objects import Scene, SceneObject, names_text
 from construction_twin.scene.self_collision import SelfCollision
 
 #: A contact that the plan does not have counts from this force on [N]: two bodies that graze each other within rounding do not.
@@ -226,7 +233,7 @@ class _Run:
         self._displaced: dict[str, LooseObject] = {}
         self._grips = [GripLoad()]
         self._remarks: list[str] = []
-        self._standing = Standing()
+        self._standing = RestingBodies()
         #: What has a mass and is part of the world all the same.
         self._fixed: frozenset[str] = frozenset()
 
@@ -277,7 +284,7 @@ class _Run:
             return False
         self._standing, self._fixed = standing, frozenset({*standing.restless, *near[MOST:]})
         if standing.restless:
-            most = f"{max(standing.restless.values()) * 1e3:.1f} mm: {listed(standing.restless)}"
+            most = f"{max(standing.restless.values()) * 1e3:.1f} mm: {names_text(standing.restless)}"
             self._remarks.append(
                 f"fixed in this rehearsal, nothing tips them over; they would move without any plan, by up to {most}"
             )
@@ -286,7 +293,7 @@ class _Run:
             self._remarks.append(f"fixed in this rehearsal, nothing tips them over: {more}")
         if of.unweighed:
             self._remarks.append(
-                f"fixed in this rehearsal, nothing tips them over, as nobody says what they weigh: {listed(of.unweighed)}"
+                f"fixed in this rehearsal, nothing tips them over, as nobody says what they weigh: {names_text(of.unweighed)}"
             )
         return True
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from construction_twin.extensions.work.convex_bodies import Pieces
+from construction_twin.extensions.work.convex_bodies import ElementPieces
 from construction_twin.extensions.work.ledger import Ledger, TaskStates
 from construction_twin.extensions.work.loaded_model import ElementFacts, LoadedModel, element_in
 from construction_twin.extensions.work.schedule import Job
@@ -89,7 +89,7 @@ ORIGIN = Pose(np.zeros(3), np.eye(3))
 
 def box_of(bodies: tuple[SceneObject, ...], pose: Pose) -> np.ndarray:
     """Return the lowest and highest coordinates of an element's pieces at its pose, shape (2, 3)."""
-    points = Pieces(bodies).points @ pose.rotation.T + pose.position
+    points = ElementPieces(bodies).points @ pose.rotation.T + pose.position
     return np.array([points.min(axis=0), points.max(axis=0)])
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work.building import BuildingModel, Element
 from construction_twin.extensions.work.contacts import Shapes
-from construction_twin.extensions.work.convex_bodies import Pieces
+from construction_twin.extensions.work.convex_bodies import ElementPieces
 from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.process import WorkJob
 from construction_twin.extensions.work.schedule import Job
@@ -175,7 +175,7 @@ class Layout:
         self.pieces = {element: tuple(pieces[element]) for element in order}
         self._base_T_model = inverse(work_cell.model_T_base(building))
         self._tool = tool_objects(work_cell.tool, link)
-        corners = {element: Pieces(items).points for element, items in self.pieces.items()}
+        corners = {element: ElementPieces(items).points for element, items in self.pieces.items()}
         own = (Job(one, "", "", one, (), (), work_cell.recipes.process(building.element(one))) for one in order)
         self._jobs = {job.id: job for job in jobs or own}
         placed = {job.element for job in self._jobs.values() if job.moves}

@@ -101,7 +101,7 @@ class Recipe(Strict):
     penetration: Annotated[float, pydantic.Field(ge=0.0, le=0.02)] = 0.0005
 
 
-def listed(value: Value) -> Any:
+def as_list(value: Value) -> Any:
     """Return a text as numbers, or as words when one is none; any other value as it is."""
     if not isinstance(value, str):
         return value
@@ -117,7 +117,7 @@ class Override:
 
     key: tuple[str, ...]
     ifc_type: str
-    read: Callable[[Value], Any] = listed
+    read: Callable[[Value], Any] = as_list
 
 
 #: What every process lets the model override.
@@ -194,7 +194,7 @@ class Process:
         check_recipe: Takes a recipe, the tool, and file and name of the recipe; raises ConfigurationError.
         mass: Takes a job, name of its recipe, the recipe and the tool [kg]; None: unknown. Raises TaskPlanningError.
         acts: Name of the segment at whose end it acts.
-        plan: Takes a `motions.Search`; raises `motions.Failed`, of the attempt that came furthest, or TaskPlanningError.
+        plan: Takes a `motions.Search`; raises `motions.AttemptFailed`, of the attempt that came furthest, or TaskPlanningError.
     """
 
     moves: bool

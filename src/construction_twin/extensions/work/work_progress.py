@@ -1,4 +1,4 @@
-"""The work on one model, among its neighbours: planning, answers of people, and the scene that follows the ledger.
+"""The work on one model, with its services: planning, answers of people, and the scene that follows the ledger.
 
 The ledger comes first: the scene changes after its line is on the disk, and the executor waits for the scene.
 """
@@ -18,13 +18,13 @@ from construction_twin.core.worker import WorkerError
 from construction_twin.extensions.work import decisions, engaged_scene
 from construction_twin.extensions.work.as_built import Appearance, Deviation, pose_tuple, scene_change
 from construction_twin.extensions.work.errors import WorkError
-from construction_twin.extensions.work.following import Follower
 from construction_twin.extensions.work.ledger import Ledger
 from construction_twin.extensions.work.loaded_model import LoadedModel
 from construction_twin.extensions.work.process import DEFAULT, TaskMotions
 from construction_twin.extensions.work.received_messages import Received
 from construction_twin.extensions.work.task_board import TaskBoard, WorkRefused
 from construction_twin.extensions.work.task_memory import UNDER_WAY, Entry, TaskState
+from construction_twin.extensions.work.task_recorder import TaskRecorder
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import RobotModel
@@ -35,7 +35,7 @@ SCENE_TIME = 2.0
 
 
 class NoAnswer(WorkError):
-    """A neighbour did not answer; it may have done what it was asked for."""
+    """A service did not answer; it may have done what it was asked for."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class UnderReview:
 
 
 @dataclass(frozen=True)
-class Neighbours:
-    """Whom the work calls; they raise a ConstructionTwinError, `NoAnswer` where the call may have had its effect.
+class WorkServices:
+    """What the work calls; each raises a ConstructionTwinError, `NoAnswer` where the call may have had its effect.
 
     Attributes:
         twin_pose, arm_pose: Joint positions [rad], [m].
@@ -83,7 +83,7 @@ class WorkProgress:
         folder: Path,
         robot: RobotModel,
         received: Received,
-        calls: Neighbours,
+        services: WorkServices,
         clock: Callable[[], int],
     ):
         ledger = Ledger(
@@ -92,12 +92,14 @@ class WorkProgress:
             loaded.model_elements,
         )  # fmt: skip
         self.board = TaskBoard(loaded, ledger, robot.name, robot.tip_link)
-        self._received, self._calls, self._clock = received, calls, clock
+        self._received, self._services, self._clock = received, services, clock
         decisions.ask_about_other_ledgers(self.board)
         opened = f"{loaded.model}: {len(loaded.schedule.jobs)} tasks, {ledger.lines} lines in {ledger.path}"
         for said in (opened, *self.board.notes):
-            calls.log(said)
-        self._follower = Follower(self.board, received, Chain(robot), calls.arm_pose, calls.refuse, calls.log)
+            services.log(said)
+        self._recorder = TaskRecorder(
+            self.board, received, Chain(robot), services.arm_pose, services.refuse, services.log
+        )
         self.lock = threading.RLock()
         self._planning = threading.Lock()
         #: Why an engaged arm has no scene to go back in, and what that was found of.
@@ -119,15 +121,15 @@ class WorkProgress:
             lambda: received.plan is not None and not received.is_engagement_unknown, min(1.0, listen_time)
         )
         with self.lock:
-            self._follower.on_report(received.execution)
-            self._follower.settle()
+            self._recorder.on_report(received.execution)
+            self._recorder.settle()
 
     def catch_up(self) -> None:
         """Act on what was received. For one thread."""
         # one report for both: the scene may change only after what was written of it
         received, report = self._received, self._received.execution
         with self.lock:
-            self._follower.catch_up(report)
+            self._recorder.catch_up(report)
             idle = not self.board.states.busy
         self._change_as_planned(report)
         engaged = received.engaged
@@ -136,7 +138,7 @@ class WorkProgress:
         if (idle or engaged) and not received.playing and self._planning.acquire(blocking=False):
             try:
                 if engaged:
-                    self._make_for_way_back()
+                    self._restore_scene_for_way_back()
                 elif received.is_executor_known:
                     self._tidy()
             finally:
@@ -165,7 +167,7 @@ class WorkProgress:
         if wrong != SceneChange():
             self._edit(scene.hash, wrong)
 
-    def _make_for_way_back(self) -> str:
+    def _restore_scene_for_way_back(self) -> str:
         """Make the scene one in which an engaged arm can go back, after the ledger's line; return why not."""
         received, left, board = self._received, self._received.left_engaged, self.board
         if left is None:
@@ -181,8 +183,8 @@ class WorkProgress:
                 return ""
             if received.playing:
                 return Sentence("a plan is under way, and the scene is not the one for the way back; wait for its end")
-            self._follower.on_report(received.execution)
-            self._follower.settle_if_lost()
+            self._recorder.on_report(received.execution)
+            self._recorder.settle_if_lost()
             memory = board.states.tasks.get(left.task)
             if memory is not None and memory.plan == left.plan_id and memory.state in UNDER_WAY:
                 return Sentence("{task}: how its plan ended is not written yet; ask again", task=board.title(left.task))
@@ -196,7 +198,7 @@ class WorkProgress:
             found = engaged_scene.restoring_change(left, scene, segments, changes, received.scenes(), element, forms)
         if isinstance(found, str):
             self._blocked, self._blocked_in = found, about
-            self._calls.refuse("engagement", found)
+            self._services.refuse("engagement", found)
             return found
         # tried again as long as the scene node refuses
         self._blocked, self._blocked_in = self._edit(scene.hash, found, found.apply(scene).hash), None
@@ -206,9 +208,9 @@ class WorkProgress:
         """Have the scene changed and wait until it is received; return why not."""
         received = self._received
         try:
-            made = self._calls.edit_scene(before, wanted, after)
+            made = self._services.edit_scene(before, wanted, after)
         except ConstructionTwinError as error:
-            self._calls.refuse("edit_scene", str(error))
+            self._services.refuse("edit_scene", str(error))
             return str(error)
         if not received.wait_for(lambda: received.scene is not None and received.scene.hash == made, SCENE_TIME):
             return "the scene was changed, but is not published"
@@ -228,7 +230,7 @@ class WorkProgress:
         received = self._received
         try:
             with self.lock:
-                problem = self.board.empty_grip_remedy(self._follower.grip().commanded)
+                problem = self.board.empty_grip_remedy(self._recorder.grip().commanded)
             if problem:
                 raise WorkRefused(problem)
             if received.engaged:
@@ -238,7 +240,7 @@ class WorkProgress:
             self._planning.release()
             received.notify()
 
-    def _allowed(self, asked: str) -> str:
+    def _plannable_task(self, asked: str) -> str:
         now = self._clock()
         with self.lock:
             task = asked or self.board.next(now)
@@ -248,11 +250,11 @@ class WorkProgress:
 
     def _plan_task(self, asked: str) -> UnderReview:
         board = self.board
-        task = self._allowed(asked)
+        task = self._plannable_task(asked)
         self._tidy()
         with self.lock:
             # while the scene was made right, somebody may have said something else
-            self._allowed(task)
+            self._plannable_task(task)
             memory = board.states.tasks[task]
             held = memory.tool0_T_element if memory.state is TaskState.CARRIED else ()
             scene = self._received.scene
@@ -262,14 +264,14 @@ class WorkProgress:
                 raise WorkRefused(
                     "the scene could not be made what the ledger says; /diagnostics of the node work says why"
                 )
-        start = self._calls.twin_pose()
+        start = self._services.twin_pose()
         try:
-            plan = self._calls.plan(task=task, element=board.element_of(task), start=start, scene=scene, held=held)
+            plan = self._services.plan(task=task, element=board.element_of(task), start=start, scene=scene, held=held)
         except (WorkError, WorkerError) as error:
             board.failures[task] = board.with_names(str(error))
             raise WorkRefused(board.failures[task]) from error
         board.failures.pop(task, None)
-        self._calls.log(f"{board.title(task)}: planned with {plan.method}")
+        self._services.log(f"{board.title(task)}: planned with {plan.method}")
         return self._offer(task, plan)
 
     def _offer(self, task: str, plan: TaskMotions) -> UnderReview:
@@ -279,7 +281,7 @@ class WorkProgress:
         held = () if plan.tool0_T_element is None else pose_tuple(plan.tool0_T_element)
         named = "" if process == DEFAULT else process
         with self.lock:
-            self._allowed(task)
+            self._plannable_task(task)
             board.add(Entry("offered", task, offer=offer, grip=plan.method, pose=held, process=named))
         how = f"{named}, {plan.method}" if named else plan.method
 
@@ -288,13 +290,13 @@ class WorkProgress:
             return memory.state is TaskState.PLANNED and not memory.plan
 
         try:
-            answer = self._calls.plan_work(task, f"{title} by {how}, offer {offer}", plan.segments)
+            answer = self._services.plan_work(task, f"{title} by {how}, offer {offer}", plan.segments)
         except ConstructionTwinError as error:
             with self.lock:
                 if not isinstance(error, NoAnswer):
                     board.add(Entry("dropped", task, offer=offer, reason=str(error)))
                 elif unnamed():
-                    self._follower.settle_offer(task, offer)
+                    self._recorder.settle_offer(task, offer)
                 board.failures[task] = str(error)
             raise WorkRefused(str(error)) from error
         with self.lock:
@@ -305,12 +307,12 @@ class WorkProgress:
 
     def _plan_way_back(self, asked: str) -> UnderReview:
         received = self._received
-        problem = self._make_for_way_back()
+        problem = self._restore_scene_for_way_back()
         before = received.plan.plan.id if received.plan is not None else ""
         if problem:
             raise WorkRefused(_only_way_back(problem))
         try:
-            said = self._calls.plan_way_back()
+            said = self._services.plan_way_back()
         except ConstructionTwinError as error:
             raise WorkRefused(_only_way_back(str(error))) from error
         received.wait_for(lambda: received.plan is not None and received.plan.plan.id != before, SCENE_TIME)
@@ -334,13 +336,13 @@ class WorkProgress:
                     sentence = decisions.answer_all(board, answer, person, reason)
                 case "answer":
                     sentence = decisions.answer(board, task, answer, person, reason, question)
-                    if problem := board.empty_grip_remedy(self._follower.grip().commanded):
+                    if problem := board.empty_grip_remedy(self._recorder.grip().commanded):
                         sentence = Sentence("{first}; {second}", first=sentence, second=problem)
                 case "skip" | "redo" | "removed":
                     sentence = getattr(decisions, decision)(board, task, person, reason)
                 case _:
                     raise WorkRefused(f"decision {decision!r}; expected skip, redo, answer, removed or accept_schedule")
-        self._calls.log(f"{sentence} ({person})")
+        self._services.log(f"{sentence} ({person})")
         self._received.notify()
         return sentence
 

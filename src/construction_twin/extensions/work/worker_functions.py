@@ -168,7 +168,7 @@ def load_model(
     bodies = Path(cache) / "bodies"
     shapes, failures = element_shapes((building.element(one) for one in order if one not in doubted), bodies)
     pieces = {element: shape.objects for element, shape in shapes.items()}
-    stands, boxed = standing(building, pieces, work_cell, reach, bodies)
+    stands, boxed = standing_obstacles(building, pieces, work_cell, reach, bodies)
     schedule.notes = tuple(map(building.with_names, schedule.notes))
     schedule.remarks = {job: tuple(map(building.with_names, said)) for job, said in schedule.remarks.items()}
     usable = [element for element in order if element in pieces]
@@ -293,7 +293,7 @@ def _figures(values: np.ndarray) -> str:
     return "(" + ", ".join(f"{value:.2f}" for value in values) + ") m"
 
 
-def standing(
+def standing_obstacles(
     building: BuildingModel, made: Collection[str], work_cell: WorkCell, reach: float, folder: Path
 ) -> tuple[dict[str, tuple[SceneObject, ...]], list[str]]:
     """Return what no task makes and the arm, or what it carries, can reach.

@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 
 from construction_twin.extensions.work.building import Body
 from construction_twin.extensions.work.errors import BuildingError
-from construction_twin.extensions.work.ifc.notes import Misread, Notes, Where, label
+from construction_twin.extensions.work.ifc.notes import Misread, Notes, ReadingEntity, label
 from construction_twin.scene.solids import hull_solid, mesh_of, solid, welded
 
 _Entity = ifcopenshell.entity_instance
@@ -129,7 +129,7 @@ def shapes(
         representation = bodies[made.id]
         given = [(each.id(), own) for each, own in openings.get(made.id, ()) if each.id() in cuts]
         try:
-            with Where(name, file.by_id(made.id)):
+            with ReadingEntity(name, file.by_id(made.id)):
                 items = list(_resolved(representation))
                 yield _shape(made, items, given, holes, unit, file.by_id(made.id).GlobalId, notes)
                 del missing[made.id]
@@ -342,7 +342,7 @@ def _count(name: str, node: _Entity, counts: dict[int, int], path: tuple[int, ..
         raise BuildingError(name, label(node), "geometry that contains itself", "geometry without a loop")
     if len(path) >= DEEPEST:
         raise BuildingError(name, label(node), f"geometry nested {DEEPEST} deep", "less")
-    with Where(name, node):
+    with ReadingEntity(name, node):
         parts = _parts(node)
     count = 1
     for part in parts:

@@ -51,8 +51,8 @@ class Misread(BuildingError):
     """ifcopenshell cannot read an entity."""
 
 
-class Where:
-    """Turns what ifcopenshell raises of a broken file, almost anything, into `Misread` with file and entity."""
+class ReadingEntity:
+    """Raises `Misread` with file and entity in place of any error of ifcopenshell."""
 
     def __init__(self, file: str, entity: object):
         self._file, self._entity = file, entity

@@ -12,7 +12,7 @@ import ifcopenshell.util.unit
 
 from construction_twin.extensions.work.building import Body, Value
 from construction_twin.extensions.work.errors import BuildingError
-from construction_twin.extensions.work.ifc.notes import Notes, Where, label
+from construction_twin.extensions.work.ifc.notes import Notes, ReadingEntity, label
 
 _Entity = ifcopenshell.entity_instance
 Sets = dict[str, dict[str, Value]]
@@ -66,7 +66,7 @@ def read_units(file: ifcopenshell.file, name: str, notes: Notes) -> Units:
         found = str(len(projects) or "none")
         raise BuildingError(name, "IFCPROJECT", found, "one project, which says in which units the model is")
     factors: dict[str, float] = {}
-    with Where(name, projects[0]):
+    with ReadingEntity(name, projects[0]):
         assignment = projects[0].UnitsInContext
         units = [(getattr(unit, "UnitType", ""), unit) for unit in assignment.Units] if assignment else []
         for kind, unit in units:
@@ -116,7 +116,7 @@ def read_properties(product: _Entity, at: str, units: Units, notes: Notes) -> Se
     """
     sets: Sets = {}
     try:
-        with Where("", product):
+        with ReadingEntity("", product):
             for set_name, values in ifcopenshell.util.element.get_psets(product, verbose=True).items():
                 sets[str(set_name)] = {
                     str(name): _value(value, units, f"{set_name}.{name}", product, at, notes)
@@ -227,7 +227,7 @@ def _weight(product: _Entity, at: str, sets: Sets, units: Units, notes: Notes) -
 def _density(product: _Entity, at: str, units: Units, notes: Notes) -> float | None:
     """Return the density of an element's only material [kg/m³]; None: not known, or in a unit that nobody says."""
     try:
-        with Where("", product):
+        with ReadingEntity("", product):
             materials = {each.id(): each for each in ifcopenshell.util.element.get_materials(product)}
             if len(materials) != 1:
                 return None

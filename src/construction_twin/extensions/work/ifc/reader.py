@@ -23,7 +23,7 @@ from construction_twin.extensions.work.building import Body, BuildingModel, Elem
 from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.doubts import ABOUT_ALL, Doubts, parse_log
 from construction_twin.extensions.work.ifc.geometry import NO_UNIT_CODES, Shape, body_of, bounds, shapes
-from construction_twin.extensions.work.ifc.notes import Misread, Notes, Where, label
+from construction_twin.extensions.work.ifc.notes import Misread, Notes, ReadingEntity, label
 from construction_twin.extensions.work.ifc.properties import (
     read_mass,
     read_properties,
@@ -59,7 +59,7 @@ class Placements:
             raise BuildingError(self._name, label(placement), found, "placements without a loop")
         if placement.id() not in self._known:
             matrix = None
-            with Where(self._name, placement), np.errstate(all="ignore"):
+            with ReadingEntity(self._name, placement), np.errstate(all="ignore"):
                 if placement.is_a("IfcLocalPlacement"):
                     matrix = self.matrix(placement.PlacementRelTo, (*inside, placement.id()))
                 if matrix is not None:
@@ -124,14 +124,14 @@ class _Reader:
     def record_ignored_coordinates(self) -> None:
         """Note the ignored coordinate systems: of the map, and of the model's context."""
         for conversion in () if self.file.schema == "IFC2X3" else self.file.by_type("IfcMapConversion"):
-            with Where(self.name, conversion):
+            with ReadingEntity(self.name, conversion):
                 shift = [conversion.Eastings, conversion.Northings, conversion.OrthogonalHeight]
                 turned = ", turned" * ((conversion.XAxisOrdinate or 0.0) != 0.0)
             shown = ", ".join(f"{value:.3f}" for value in shift)
             said = f"The map conversion (eastings, northings, height {shown}{turned}) is left out"
             self.notes.add(f"{said}: poses are the model's own")
         for context in self.file.by_type("IfcGeometricRepresentationContext", include_subtypes=False):
-            with Where(self.name, context):
+            with ReadingEntity(self.name, context):
                 system = context.WorldCoordinateSystem
                 if context.ContextType != "Model" or system is None or not system.is_a("IfcAxis2Placement3D"):
                     continue
@@ -150,7 +150,7 @@ class _Reader:
         matrices: dict[int, np.ndarray | None] = {}
         bodies: dict[int, _Entity] = {}
         for product in products:
-            with Where(self.name, product):
+            with ReadingEntity(self.name, product):
                 self.ids[product.id()] = unique_id(product, taken, self.notes)
                 taken.add(self.ids[product.id()])
                 try:
@@ -178,7 +178,7 @@ class _Reader:
                 made[number] = shape.doubted(self.doubts.shapes[number], bounds(bodies[number]) * self.units.length)
         elements = {}
         for product in products:
-            with Where(self.name, product):
+            with ReadingEntity(self.name, product):
                 element = self._element(product, matrices[product.id()], made.get(product.id()))
             if element is not None:
                 elements[element.id] = element
@@ -225,7 +225,7 @@ class _Reader:
         products = []
         # by_type gives one class after the other, and numbers are the file's order
         for product in sorted(self.file.by_type("IfcProduct"), key=lambda product: product.id()):
-            with Where(self.name, product):
+            with ReadingEntity(self.name, product):
                 if any(product.is_a(kind) for kind in _NOT_THERE):
                     continue
                 has_body = any(product.is_a(kind) for kind in _WITH_BODY) and body_of(product) is not None
@@ -286,7 +286,7 @@ class _Reader:
 
     def in_one_piece(self, elements: dict[str, Element], tasks: dict[str, Task]) -> dict[str, Element]:
         """Return what comes in one piece, as `in_one_piece` does, and note it."""
-        with Where(self.name, "the file"):
+        with ReadingEntity(self.name, "the file"):
             assemblies = [each for each in self.file.by_type("IfcElementAssembly") if each.AssemblyPlace == "FACTORY"]
         changed = in_one_piece(elements, tasks, {self.ids[each.id()] for each in assemblies if each.id() in self.ids})
         for name, element in changed.items():
@@ -312,7 +312,7 @@ def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
     file = _open(contents, name)
     doubts = Doubts(file)
     log = tuple(parse_log(ifcopenshell.get_log()))
-    with Where(name, "the file"):
+    with ReadingEntity(name, "the file"):
         doubts.on_parser_log(log, contents, name)
         for entry in log:
             notes.add("The parser says", entry.text)
@@ -336,7 +336,7 @@ def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
     elements |= groups.elements
     elements |= reader.in_one_piece(elements, tasks)
     project = file.by_type("IfcProject")[0]
-    with Where(name, project):
+    with ReadingEntity(name, project):
         title = project.Name or getattr(project, "LongName", None) or ""
     return BuildingModel(
         name, digest, title, elements, tasks, sequences, notes.sentences(),
@@ -365,7 +365,7 @@ def _open(contents: bytes, name: str) -> ifcopenshell.file:
         written.write(contents)
         written.flush()
         try:
-            with Where(name, "the file"):
+            with ReadingEntity(name, "the file"):
                 file = ifcopenshell.open(f"/proc/self/fd/{copy}", format=".ifc")
                 count = len(file.types())
         except Misread as error:

@@ -19,7 +19,7 @@ import numpy as np
 
 from construction_twin.extensions.work.building import Element, Sequence, Task
 from construction_twin.extensions.work.errors import BuildingError
-from construction_twin.extensions.work.ifc.notes import Notes, Where, label
+from construction_twin.extensions.work.ifc.notes import Notes, ReadingEntity, label
 from construction_twin.extensions.work.ifc.properties import Units, read_properties
 from construction_twin.extensions.work.ifc.relations import Relations
 from construction_twin.extensions.work.process import PROPERTY_SET, RECIPE
@@ -84,22 +84,22 @@ def read_tasks(
     """Read tasks and sequences; `built_from_inputs`: ids of elements that a task builds where it has them as inputs only."""
     reading = _Reading(groups, built_from_inputs, units, notes)
     every = sorted(file.by_type("IfcTask"), key=lambda task: task.id())
-    with Where(name, "the schedule"):
+    with ReadingEntity(name, "the schedule"):
         reading.beyond = any(_completion(_time_of(task)) > 1.0 + _ROUNDING for task in every)
         if reading.beyond:
             said = "A part that is done (`Completion`) is above 1, perhaps percent"
             notes.add(f"{said}: by their parts no tasks are completed")
         entities = reading.scheduled(every)
     for entity in entities:
-        with Where(name, entity):
+        with ReadingEntity(name, entity):
             reading.ids[entity.id()] = unique_id(entity, reading.ids.values(), notes)
     for entity in entities:
-        with Where(name, entity):
+        with ReadingEntity(name, entity):
             task = reading.task(entity)
             reading.tasks[task.id] = task
     sequences = []
     for relation in file.by_type("IfcRelSequence") if entities else ():
-        with Where(name, relation):
+        with ReadingEntity(name, relation):
             sequence = reading.sequence(relation)
         if sequence is not None:
             sequences.append(sequence)
@@ -395,7 +395,7 @@ def _moment(value: str | _Entity | None, note: _Note) -> str:
     if value is None:
         return ""
     try:
-        with Where("", "a time"):
+        with ReadingEntity("", "a time"):
             read = ifcopenshell.util.date.ifc2datetime(value) if isinstance(value, str) else _date_and_time(value)
             text = str(read.isoformat())  # type: ignore[union-attr]
         datetime.fromisoformat(text).timestamp()  # orders compare it: no time of day, no year 0

@@ -31,7 +31,7 @@ from construction_twin.extensions.work.received_messages import KnownPlan, Recei
 from construction_twin.extensions.work.task_board import WorkRefused
 from construction_twin.extensions.work.task_memory import TaskState
 from construction_twin.extensions.work.work_cell import read_work_cell
-from construction_twin.extensions.work.work_progress import Neighbours, NoAnswer, UnderReview, WorkProgress
+from construction_twin.extensions.work.work_progress import NoAnswer, UnderReview, WorkProgress, WorkServices
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.frames import rotation_to_quaternion
@@ -180,7 +180,7 @@ class WorkNode:
         rospy.loginfo("the model was read in %.1f s", time.monotonic() - began)
         if files is not None:
             self._show_building(loaded, files)
-        neighbours = Neighbours(
+        services = WorkServices(
             functools.partial(self._twin.pose, MAX_POSE_AGE, MAX_POSE_AGE),
             functools.partial(self._arm.pose, MAX_POSE_AGE, MAX_POSE_AGE),
             functools.partial(self._worker.ask, "plan"),
@@ -190,7 +190,7 @@ class WorkNode:
             self._diagnostics.refuse,
             functools.partial(rospy.loginfo, "%s"),
         )
-        self.progress = WorkProgress(loaded, folder, robot, self.received, neighbours, time.time_ns)
+        self.progress = WorkProgress(loaded, folder, robot, self.received, services, time.time_ns)
         self.progress.recall(settings.listen_time)
 
     def _show_building(self, loaded: LoadedModel, files: Any) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 from scipy.spatial import ConvexHull, QhullError
 
-from construction_twin.extensions.work.convex_bodies import Pieces
+from construction_twin.extensions.work.convex_bodies import ElementPieces
 from construction_twin.extensions.work.place.recipe import PlaceRecipe
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import Cups, Tool
@@ -52,7 +52,7 @@ class GripSearch:
     reason: str
 
 
-def find_grips(pieces: Pieces, up: np.ndarray, mass: float, recipe: PlaceRecipe, tool: Tool) -> GripSearch:
+def find_grips(pieces: ElementPieces, up: np.ndarray, mass: float, recipe: PlaceRecipe, tool: Tool) -> GripSearch:
     """Return the grips of an element: by faces, then its turns, then the tool's, then places.
 
     `up`: Shape (3,). In the stock.
@@ -100,7 +100,7 @@ def _tool_at(frame: Pose, yaw_deg: float, along: float, across: float) -> Pose:
     return Pose(frame.position + frame.rotation @ np.array([along, across, 0.0]), into)
 
 
-def _cups_on_face(element_T_tcp: Pose, pieces: Pieces, cups: Cups, margin: float) -> np.ndarray:
+def _cups_on_face(element_T_tcp: Pose, pieces: ElementPieces, cups: Cups, margin: float) -> np.ndarray:
     """Return the middles of the cups that lie on the face, shape (k, 3)."""
     rotation = element_T_tcp.rotation
     middles = np.array([element_T_tcp.position + rotation @ (x, y, 0.0) for x, y in cups.at])
@@ -110,7 +110,7 @@ def _cups_on_face(element_T_tcp: Pose, pieces: Pieces, cups: Cups, margin: float
     return middles[lies.reshape(len(middles), -1).all(axis=1)]
 
 
-def _faces(pieces: Pieces, up: np.ndarray, wanted: tuple[str, ...]) -> list[tuple[str, Pose]]:
+def _faces(pieces: ElementPieces, up: np.ndarray, wanted: tuple[str, ...]) -> list[tuple[str, Pose]]:
     """Return names of the wanted faces, and frames: below the centre of gravity, x along the longer side, z outwards."""
     found: dict[int, tuple[str, Pose]] = {}
     for word in wanted:
@@ -136,7 +136,7 @@ def _axis_name(normal: np.ndarray) -> str:
     return "face " + " ".join(f"{value:.2f}" for value in normal)
 
 
-def _frame(pieces: Pieces, plane: np.ndarray) -> Pose:
+def _frame(pieces: ElementPieces, plane: np.ndarray) -> Pose:
     normal = plane[:3]
     points = pieces.on(plane)
     # the longer side of the smallest rectangle around the face that has a side in common with an edge of its outline
@@ -171,7 +171,7 @@ def _long_side(flat: np.ndarray) -> float:
 
 
 def _obstacle(
-    where: str, tcp: Pose, cups: np.ndarray, needed: int, lever: float, pieces: Pieces
+    where: str, tcp: Pose, cups: np.ndarray, needed: int, lever: float, pieces: ElementPieces
 ) -> tuple[int, str] | None:
     """Return why a place does not hold the element, with how far it came."""
     if len(cups) < needed:

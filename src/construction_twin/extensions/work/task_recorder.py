@@ -173,7 +173,7 @@ def events_after_restart(memory: TaskMemory, fate: Fate, grip: GripReading) -> l
     return events.entries
 
 
-class Follower:
+class TaskRecorder:
     """Records how the task under way goes on and ends. For one thread.
 
     Args:
