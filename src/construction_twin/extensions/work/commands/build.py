@@ -265,7 +265,7 @@ def answer_of(
     return wanted if wanted in answers else ""
 
 
-def checked(parameters: Parameters = rospy) -> Settings:
+def checked_parameters(parameters: Parameters = rospy) -> Settings:
     """Return what the node starts with; raise the ConstructionTwinError that it is refused for."""
     settings = read_parameters(Settings, parameters)
     check_writable(Path(settings.results_dir).expanduser())
@@ -278,7 +278,7 @@ def main() -> int:
     try:
         with ending_on_signals():
             rospy.init_node("build", disable_signals=True)
-            file = Builder(checked(), console).run()
+            file = Builder(checked_parameters(), console).run()
     except ConstructionTwinError as error:
         console.print(f"build: {error}", soft_wrap=True, highlight=False)
         return 1
