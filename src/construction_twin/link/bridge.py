@@ -234,7 +234,7 @@ class Bridge:
         self._stop: object = None
         self._stop_shown_from: Moment | None = None
         #: Why only a person leads on, for the process after this one; "": nobody is waited for.
-        self.waits = waits
+        self.waits_for = waits
         # what the gateway's last status says beside its counters
         self._values: dict[str, str] = {}
         self._published: tuple[LinkState, str, str] | None = None
@@ -252,7 +252,7 @@ class Bridge:
         self._record_stops(present)
         # the first sentence stays until nobody is waited for: figures may waver in those that follow
         waits = supervisor.waits_for
-        self.waits = waits and (self.waits or waits)
+        self.waits_for = waits and (self.waits_for or waits)
         return control or self._limit_due(now)
 
     def on_speed_limit(self, limit: float, now: int) -> Control | None:

@@ -81,7 +81,7 @@ class SpeedLimits:
     """
 
     def __init__(self, program: SpeedLimit, people: SpeedChange, started: Moment, problem: str = ""):
-        self.program, self.people, self.problem = program, people, problem
+        self.program, self.people, self.fault = program, people, problem
         self._lowered = started
 
     def set(self, limit: float, person: str, moment: str, now: Moment, at: int) -> str:
@@ -89,7 +89,7 @@ class SpeedLimits:
         before, self.people = self.people, self.requested_change(limit, person, moment, now, at)
         if self.people is before:
             return Sentence("the speed limit of people is {percent:.0f}% already", percent=100 * limit)
-        self.problem = ""
+        self.fault = ""
         if limit <= before.limit:
             self._lowered = replace(now, at=now.at + SHOWN_AFTER)
         whose, was, now_is = before.person or Sentence("nobody"), 100 * before.limit, 100 * limit
@@ -114,7 +114,7 @@ class SpeedLimits:
         if not person.strip():
             raise PayloadError("person", Sentence("a speed limit of people needs the name of who sets it"))
         before = self.people
-        if limit == before.limit and not self.problem:
+        if limit == before.limit and not self.fault:
             return before
         if not moment and limit > before.limit:
             raise PayloadError(
@@ -153,11 +153,11 @@ class SpeedLimits:
             # nobody was heard, and one is required: what the executor does of itself holds beside a person's limit, too
             asks = program.state is not LimitState.UNLIMITED
             reason = program.reason if asks else Sentence("nobody limits the speed")
-        elif self.problem:
+        elif self.fault:
             reason = Sentence(
                 "speed limit {percent:.0f}%: what people had set could not be read ({problem}); set it anew",
                 percent=100 * people.limit,
-                problem=self.problem,
+                problem=self.fault,
             )
         set_by_people = people.limit, people.person, people.stamp, people.before, people.whose
         return SpeedReport(limit, by, reason, *set_by_people, program=allowed, program_name=program.name)

@@ -329,15 +329,15 @@ class _Request:
         velocities[[0, -1]] = accelerations[[0, -1]] = 0.0
         return replace(way, times=times, velocities=velocities, accelerations=accelerations)
 
-    def _times(self, scaling: TimeScaling, duration: float, kept: int | None = None) -> np.ndarray:
+    def _times(self, scaling: TimeScaling, duration: float, faster_count: int | None = None) -> np.ndarray:
         """Return the times of the waypoints of a motion that is as long as `duration` [s].
 
         Args:
-            kept: Number of waypoints of a motion that is little faster: the quintics of as many are the same, only slower.
+            faster_count: Number of waypoints of a motion that is little faster: the quintics of as many are the same, only slower.
         """
         count = self.waypoints or max(MINIMUM_WAYPOINTS, math.ceil(duration / self.spacing) + 1)
-        if kept is not None and count <= SPACING_KEPT * kept:
-            count = kept
+        if faster_count is not None and count <= SPACING_KEPT * faster_count:
+            count = faster_count
         self.bounds.check(duration, count)
         if self.waypoints is not None or not scaling.phases:
             return np.linspace(0.0, duration, count)
@@ -405,9 +405,9 @@ def _slower(scaling: TimeScaling, way: _Way, factor: np.ndarray) -> tuple[np.nda
     return way.s, np.where(around > 1.0, way.speed / around, math.inf)
 
 
-def _asked_times(times: np.ndarray, kept: np.ndarray) -> np.ndarray:
+def _asked_times(times: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Return the times of the points that are kept; a pause at one of them belongs to the way to the next."""
-    asked = times[kept]
+    asked = times[rows]
     asked[-1] = times[-1]
     return asked
 

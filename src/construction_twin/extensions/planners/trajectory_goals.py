@@ -320,16 +320,16 @@ class TrajectoryGoals:
 
     def _check_goal(self, sample: Sample | None, now: int) -> None:
         assert self.goal is not None  # it settles
-        problem: str = Sentence("twin and arm are not known to be at rest")
+        violation: str = Sentence("twin and arm are not known to be at rest")
         if sample is not None:
             # the twin rests at the path's end, and the arm answers to that: what they show is the goal, and how far off it is
             error = sample.error
-            problem = self.goal.goal.violation(self._robot, error.position, error.velocity, error.acceleration)
-        if not problem:
+            violation = self.goal.goal.violation(self._robot, error.position, error.velocity, error.acceleration)
+        if not violation:
             self._on(GoalEvent.AT_GOAL, now)
         elif now - self._since > self.goal.time_tolerance * NANOSECONDS:
             seconds = self.goal.time_tolerance
-            late = Sentence("{seconds:g} s after the plan's end {problem}", seconds=seconds, problem=problem)
+            late = Sentence("{seconds:g} s after the plan's end {problem}", seconds=seconds, problem=violation)
             self._on(GoalEvent.TOO_LATE, now, late)
 
     # -- the table

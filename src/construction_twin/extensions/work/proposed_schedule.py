@@ -164,13 +164,13 @@ def _held_at_the_side(solids: list[_Solid], near: list[tuple[int, int]], before:
 
 def _waits_for(element: int, other: int, before: dict[int, set[int]]) -> bool:
     """Return whether one comes after the other already."""
-    seen, left = {element}, [element]
+    visited, left = {element}, [element]
     while left:
         at = left.pop()
         if at == other:
             return True
-        left += before[at] - seen
-        seen |= before[at]
+        left += before[at] - visited
+        visited |= before[at]
     return False
 
 

@@ -207,7 +207,7 @@ def point_latest(results: Path, directory: Path) -> None:
     link.replace(results / "latest")
 
 
-def checked(parameters: Parameters = rospy) -> tuple[ExperimentSettings, RobotModel]:
+def checked_parameters(parameters: Parameters = rospy) -> tuple[ExperimentSettings, RobotModel]:
     """Return what the node starts with; raise the ConstructionTwinError that it is refused for."""
     settings, robot = read_parameters(ExperimentSettings, parameters), robot_from_parameters(parameters=parameters)
     joints = len(robot.joint_names)
@@ -227,7 +227,7 @@ def main() -> int:
         await_master()
         with ending_on_signals():
             rospy.init_node("experiment", disable_signals=True)
-            report = Experiment(*checked(), console).run()
+            report = Experiment(*checked_parameters(), console).run()
     except (ConstructionTwinError, rospy.ROSException, rospy.ServiceException, OSError) as error:
         print(f"experiment: {command_message(error)}", file=sys.stderr, flush=True)
         return 1

@@ -57,16 +57,16 @@ def _broker(words: list[str], _parameters: LaunchParameters) -> None:
 
 def _experiment(words: list[str], parameters: LaunchParameters) -> None:
     job = extension("work.commands.build") if words == ["build"] else scenario if words == ["scenario"] else experiment
-    job.checked(parameters)
+    job.checked_parameters(parameters)
 
 
 #: What a program is checked by that is no `NodeShell`'s, or that an argument asks an extension for; takes its words and parameters.
 PROGRAMS: dict[str, Callable[[list[str], LaunchParameters], object]] = {
     "broker": _broker,
     "console": lambda words, _parameters: extension("console.program").check(words),
-    "rsi_gateway": rsi_gateway.checked,
+    "rsi_gateway": rsi_gateway.checked_config,
     "experiment": _experiment,
-    "work": lambda _words, parameters: extension("work.nodes.work").NODE.checked(parameters),
+    "work": lambda _words, parameters: extension("work.nodes.work").NODE.checked_parameters(parameters),
 }
 #: Programs that only show something, and the example of a PLC.
 _UNCHECKED = ("view", "plc")
@@ -80,7 +80,7 @@ def check_node(node: Node, values: Mapping[str, Any]) -> None:
         return
     if node.type == "separation":
         sys.path.append(str(share_folder() / "examples" / "separation"))
-        importlib.import_module("separation_node").NODE.checked(parameters)
+        importlib.import_module("separation_node").NODE.checked_parameters(parameters)
         return
     module = node_modules().get(node.type, f"construction_twin.extensions.{node.type}")
     name = module.removeprefix("construction_twin.extensions.")
@@ -88,7 +88,7 @@ def check_node(node: Node, values: Mapping[str, Any]) -> None:
         found = importlib.import_module(module) if name == module else extension(name)
     except ExtensionAbsent:
         return  # its node waits, and the others work without it
-    found.NODE.checked(parameters)
+    found.NODE.checked_parameters(parameters)
 
 
 def refusals(nodes: Iterable[Node], values: Mapping[str, Any]) -> dict[str, list[str]]:

@@ -410,7 +410,7 @@ def _closings(transitions: list, syncs: list) -> Iterator[SyncMoment]:
             yield SyncMoment(stamp, *measured, last.servo_lag)
 
 
-def checked(parameters: Parameters = rospy) -> tuple[ScenarioSettings, dict]:
+def checked_parameters(parameters: Parameters = rospy) -> tuple[ScenarioSettings, dict]:
     """Return the node's settings and its scenario; raise the ConstructionTwinError that it is refused for."""
     content = parameters.get_param("~", {})
     given = {name: content.pop(name) for name in ScenarioSettings.model_fields if name in content}
@@ -432,7 +432,7 @@ def main() -> int:
         await_master()
         with ending_on_signals():
             rospy.init_node("scenario", disable_signals=True)
-            settings, content = checked()
+            settings, content = checked_parameters()
             verdict = run_scenario(settings, content, console)
     except (ConstructionTwinError, rospy.ROSException, OSError) as error:
         print(f"scenario: {command_message(error)}", file=sys.stderr, flush=True)

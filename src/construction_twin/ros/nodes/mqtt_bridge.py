@@ -128,7 +128,7 @@ class MqttBridge:
         now = time.monotonic_ns()
         with self._lock:
             control = self._bridge.poll(now, present_moment())
-            values = self._supervisor.mirrors, self._bridge.waits
+            values = self._supervisor.mirrors, self._bridge.waits_for
         if control is not None:
             self._send(control)
         for parameter, value in zip(self._saved_parameters, values):

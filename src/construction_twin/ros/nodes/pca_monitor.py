@@ -172,7 +172,7 @@ class SpeedLimitService:
         values = {"speed limit": f"{limit:.3f}", "speed limit because": reason}
         slow = program.state in (LimitState.SILENT, LimitState.MISSING)
         problem = self._file_problem or self._saved_program.fault
-        level = ERROR if problem or self._limits.problem else WARN if slow else OK
+        level = ERROR if problem or self._limits.fault else WARN if slow else OK
         return Diagnosis(level, problem or f"speed limit {limit:g}: {reason}", values)
 
 

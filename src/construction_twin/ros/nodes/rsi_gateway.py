@@ -35,7 +35,7 @@ def stop_file(arm: str, config: Path, robot: str) -> Path:
     return path
 
 
-def checked(words: list[str], parameters: Parameters = rospy) -> GatewayConfig:
+def checked_config(words: list[str], parameters: Parameters = rospy) -> GatewayConfig:
     """Return the configuration of a gateway with these options; raise the ConstructionTwinError that it is refused for."""
     config = config_from_parameters(parameters=parameters)
     options = read_arguments([*words, "--config", ""])
@@ -53,7 +53,7 @@ def main() -> None:
 
 def _hand_over() -> None:
     arguments = rospy.myargv(sys.argv)[1:]
-    config = checked(arguments)
+    config = checked_config(arguments)
     expect_own_parameters()
     # one file per node and ROS master: two masters of one user must not hand each other's configuration over
     name = re.sub(r"\W+", "_", f"{rosgraph.get_master_uri()} {rospy.get_name()}")

@@ -277,7 +277,7 @@ class NodeShell(Generic[Settings]):
     fast: bool = False
     refused: Callable[[str], object] = refuse
 
-    def checked(self, parameters: Parameters = rospy) -> tuple[Settings, RobotModel]:
+    def checked_parameters(self, parameters: Parameters = rospy) -> tuple[Settings, RobotModel]:
         """Return what the node starts with; raise the ConstructionTwinError that it is refused for."""
         settings, robot = read_parameters(self.settings, parameters), robot_from_parameters(parameters=parameters)
         self.check(settings, robot, self.interface.shared(parameters))
@@ -290,7 +290,7 @@ class NodeShell(Generic[Settings]):
         run_node(self.name, self._start, self.refused)
 
     def _start(self) -> object:
-        found = self.checked()
+        found = self.checked_parameters()
         expect_own_parameters()
         return self.open(*found)
 

@@ -61,14 +61,14 @@ def _rehearse(options: argparse.Namespace) -> int:
     if tool is not None:
         for item in tool_objects(tool, robot.tip_link):
             scene = scene.add(item)
-    given = dict(map(_mass, options.mass))
+    given_masses = dict(map(_mass, options.mass))
     bodies = {body_of(name) for name in scene.names}
-    if unknown := given.keys() - bodies:
+    if unknown := given_masses.keys() - bodies:
         raise _wrong(
             "--mass", ", ".join(sorted(unknown)), f"bodies of the scene: {', '.join(sorted(bodies)) or 'none'}"
         )
-    known = given if tool is None else given | {TOOL: tool.tool.mass}
-    masses = masses_of(known, (scene,), arm.bodies, standing=given)
+    known = given_masses if tool is None else given_masses | {TOOL: tool.tool.mass}
+    masses = masses_of(known, (scene,), arm.bodies, standing=given_masses)
     rehearsal = replace(arm, masses=masses, inputs=_inputs(options, masses))
     plan = _plan(*_trajectory(options, robot), scene)
     report = rehearsal.of_plan(plan, {scene.hash: scene}, time.perf_counter)

@@ -88,19 +88,19 @@ class Builder:
         )
         wanted = [task.id for task in self._work_tasks.tasks][: self._settings.most or None]
         self._efforts = {task: {"plans": 0, "planning_s": 0.0, "motion_s": 0.0} for task in wanted}
-        problem = ""
+        failure = ""
         try:
             for number, task in enumerate(wanted, start=1):
                 self._finish_task(task, f"{number} of {len(wanted)}")
         except (ConstructionTwinError, rospy.ROSException, rospy.ServiceException) as error:
-            problem = str(error)
+            failure = str(error)
         tasks = [task for task in from_msg(WorkReport, self._work_tasks).tasks if task.id in self._efforts]
         missing = [task.name for task in tasks if task.state != "done"]
-        if missing and not problem:
-            problem = f"{len(missing)} of {len(wanted)} tasks are not done: {', '.join(missing)}"
+        if missing and not failure:
+            failure = f"{len(missing)} of {len(wanted)} tasks are not done: {', '.join(missing)}"
         file = self._write(tasks)
-        if problem:
-            raise ConstructionTwinError(f"{problem}; see {file}")
+        if failure:
+            raise ConstructionTwinError(f"{failure}; see {file}")
         return file
 
     def _write(self, tasks: Collection[TaskReport]) -> Path:
@@ -265,7 +265,7 @@ def answer_of(
     return wanted if wanted in answers else ""
 
 
-def checked(parameters: Parameters = rospy) -> Settings:
+def checked_parameters(parameters: Parameters = rospy) -> Settings:
     """Return what the node starts with; raise the ConstructionTwinError that it is refused for."""
     settings = read_parameters(Settings, parameters)
     check_writable(Path(settings.results_dir).expanduser())
@@ -278,7 +278,7 @@ def main() -> int:
     try:
         with ending_on_signals():
             rospy.init_node("build", disable_signals=True)
-            file = Builder(checked(), console).run()
+            file = Builder(checked_parameters(), console).run()
     except ConstructionTwinError as error:
         console.print(f"build: {error}", soft_wrap=True, highlight=False)
         return 1

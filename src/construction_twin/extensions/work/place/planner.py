@@ -309,15 +309,18 @@ _Computed = TypeVar("_Computed")
 
 
 def _computed_once(
-    made: dict[int, _Computed | AttemptFailed], number: int, make: Callable[[np.ndarray], _Computed], q: np.ndarray
+    computed: dict[int, _Computed | AttemptFailed],
+    number: int,
+    compute: Callable[[np.ndarray], _Computed],
+    q: np.ndarray,
 ) -> _Computed:
     """Return what was made of a joint solution at the first call, or raise why it could not be made."""
-    if number not in made:
+    if number not in computed:
         try:
-            made[number] = make(q)
+            computed[number] = compute(q)
         except AttemptFailed as failed:
-            made[number] = failed
-    found = made[number]
+            computed[number] = failed
+    found = computed[number]
     if isinstance(found, AttemptFailed):
         raise found
     return found
@@ -430,20 +433,20 @@ class _Attempt:
         grip, release = search.tool.tool.grip, search.tool.tool.release
         # a sensor that is stuck, or a scrap on the cups, is found before anything is gripped
         held, empty = grip.signals(), release.signals()
-        made = PlanBuilder(search, there.fetch)
-        made.add(TO_STOCK, fetch, False, empty, (), there.approach, clearance)
-        made.add(APPROACH, stock.approach, True, empty, grip.switches(), there.lift)
-        made.add(LIFT, stock.lift, True, held, (), there.carry)
-        return self._carried(made, carry, goal)
+        builder = PlanBuilder(search, there.fetch)
+        builder.add(TO_STOCK, fetch, False, empty, (), there.approach, clearance)
+        builder.add(APPROACH, stock.approach, True, empty, grip.switches(), there.lift)
+        builder.add(LIFT, stock.lift, True, held, (), there.carry)
+        return self._carried(builder, carry, goal)
 
-    def _carried(self, made: PlanBuilder, carry: tuple[Trajectory, float], goal: _Goal) -> TaskMotions:
+    def _carried(self, builder: PlanBuilder, carry: tuple[Trajectory, float], goal: _Goal) -> TaskMotions:
         there, tool = self.scenes, self.search.tool.tool
         held, empty = tool.grip.signals(), tool.release.signals()
         engaged = self.search.recipe.carry_engaged
-        made.add(CARRY, carry[0], engaged, held, (), there.set_down, carry[1])
-        made.add(SET_DOWN, goal.set_down, True, held, tool.release.switches(), there.retreat)
-        made.add(RETREAT, goal.retreat, True, empty, (), there.done)
-        return made.plan(self.grip.name, self.at.tool0_T_element)
+        builder.add(CARRY, carry[0], engaged, held, (), there.set_down, carry[1])
+        builder.add(SET_DOWN, goal.set_down, True, held, tool.release.switches(), there.retreat)
+        builder.add(RETREAT, goal.retreat, True, empty, (), there.done)
+        return builder.plan(self.grip.name, self.at.tool0_T_element)
 
 
 PROCESS = Process(
