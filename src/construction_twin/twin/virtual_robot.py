@@ -30,7 +30,7 @@ class GazeboTwin:
         self._open: deque[int] = deque(maxlen=_REMEMBERED)
 
     @property
-    def problem(self) -> str:
+    def fault(self) -> str:
         """One sentence when Gazebo is silent or late; empty: it answers."""
         waiting = len(self._open)
         if waiting == _REMEMBERED:
@@ -64,14 +64,14 @@ class TwinBackend(Protocol):
     Attributes:
         effort: Length n. What the axes give [N m], [N]; empty: unknown.
         contacts: What touches and, by the planner, should not: pairs of names.
-        problem: One sentence about what is simulated otherwise than it should be; empty: nothing is.
+        fault: One sentence about what is simulated otherwise than it should be; empty: nothing is.
     """
 
     effort: tuple[float, ...]
     contacts: tuple[tuple[str, str], ...]
 
     @property
-    def problem(self) -> str:
+    def fault(self) -> str:
         """See above."""
 
     def restart(self) -> None:
@@ -86,7 +86,7 @@ class KinematicBackend:
 
     effort: tuple[float, ...] = ()
     contacts: tuple[tuple[str, str], ...] = ()
-    problem = ""
+    fault = ""
 
     def restart(self) -> None:
         """See `TwinBackend`."""

@@ -28,5 +28,5 @@ def test_it_says_when_it_is_late_and_when_it_is_silent():
     assert told(25).problem == ""
     assert told(26).problem == "Gazebo is 104 ms behind what is commanded"
     twin = told(400)
-    assert twin.problem.startswith("Gazebo has answered no command for 1 s")
-    assert twin.answer(400 * CYCLE_NS) and twin.problem == ""
+    assert twin.fault.startswith("Gazebo has answered no command for 1 s")
+    assert twin.answer(400 * CYCLE_NS) and twin.fault == ""
