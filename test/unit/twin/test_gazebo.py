@@ -25,8 +25,8 @@ def test_a_stamp_of_no_command_is_no_answer_and_costs_none():
 
 
 def test_it_says_when_it_is_late_and_when_it_is_silent():
-    assert told(25).problem == ""
-    assert told(26).problem == "Gazebo is 104 ms behind what is commanded"
+    assert told(25).fault == ""
+    assert told(26).fault == "Gazebo is 104 ms behind what is commanded"
     twin = told(400)
     assert twin.fault.startswith("Gazebo has answered no command for 1 s")
     assert twin.answer(400 * CYCLE_NS) and twin.fault == ""
