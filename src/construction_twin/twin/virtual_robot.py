@@ -1,4 +1,4 @@
-"""The kinematic twin: executes commands exactly, after it has assumed the arm's pose.
+"""The kinematic twin: executes commands exactly, after it has taken over the arm's pose.
 
 Pure; angles in rad, prismatic joints in m, stamps in ns.
 """
@@ -31,7 +31,7 @@ class GazeboTwin:
 
     @property
     def fault(self) -> str:
-        """One sentence when Gazebo is silent or late; empty: it is in time."""
+        """One sentence when Gazebo is silent or late; empty: it answers."""
         waiting = len(self._open)
         if waiting == _REMEMBERED:
             return (
@@ -45,12 +45,12 @@ class GazeboTwin:
     def cycle(self, commanded: tuple[float, ...]) -> None:
         """See `TwinBackend`."""
 
-    def on_published(self, stamp: int) -> None:
+    def templates_of(self, stamp: int) -> None:
         """Remember a command that was published."""
         self._open.append(stamp)
 
     def on_simulated_pose(self, stamp: int) -> bool:
-        """Remove the command of a simulated pose, by stamp, and those before it; return whether it waited."""
+        """Take the stamp of a simulated pose; return whether its command waited. Those before it were skipped."""
         if stamp not in self._open:
             return False
         while self._open.popleft() != stamp:
@@ -182,7 +182,7 @@ class VirtualRobot:
         return True
 
     def assume_pose(self, q: tuple[float, ...]) -> bool:
-        """Assume the physical arm's pose [rad] if none is held; return whether it was assumed."""
+        """Take the physical arm's pose [rad] if none is held; return whether it was taken."""
         if self.pose is not None:
             return False
         self.pose = q

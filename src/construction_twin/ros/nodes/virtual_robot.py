@@ -191,15 +191,15 @@ class VirtualRobotNode:
             return Diagnosis(WARN, "waiting for the physical arm's pose")
         said = "following the physical arm" if self._robot.mirrors else "executing"
         if self._gazebo is not None:
-            problem = self._backend.fault
-            return Diagnosis(WARN if problem else OK, problem or said)
+            fault = self._backend.fault
+            return Diagnosis(WARN if fault else OK, fault or said)
         if self._simulated is None:
             return Diagnosis(OK, said)
         contacts = ", ".join(f"{first} + {second}" for first, second in self._backend.contacts)
         values = {"simulated scene": self._simulated.scene, "contacts": contacts or "none"}
         touches = contacts and f"the simulated arm touches: {contacts}"
-        problem = self._simulated.scene_fault or self._backend.fault or touches
-        return Diagnosis(WARN, problem, values) if problem else Diagnosis(OK, said, values)
+        fault = self._simulated.scene_fault or self._backend.fault or touches
+        return Diagnosis(WARN, fault, values) if fault else Diagnosis(OK, said, values)
 
 
 INTERFACE = shell.Interface(
