@@ -283,7 +283,7 @@ class InverseKinematics(abc.ABC):
         """Return in which configuration joint values are [rad]; None: the arm has no named configurations."""
         return None
 
-    def refuse(self, configuration: Configuration, pose: Pose, seed: JointValues) -> NoReturn:
+    def raise_configuration_error(self, configuration: Configuration, pose: Pose, seed: JointValues) -> NoReturn:
         """Raise the error that names the configurations that reach a pose, or the reason if none does."""
         others = {str(solution.configuration) for solution in self.all(pose, seed)}
         raise BranchError(str(configuration), tuple(sorted(others)), "does not exist for this pose within the ranges")

@@ -275,9 +275,9 @@ class PlanningPipeline:
             place, contact = found
             on_way = path.way_to(min(int(place) + 1, len(path.rows) - 1))
             raise RetimedCollisionError(contact.between, on_way, why, lines_free=False) from error
-        assert timed.passed is not None and path.times is not None and error.time is not None
+        assert timed.passing_times is not None and path.times is not None and error.time is not None
         rows = np.flatnonzero(distinct(path.positions))
-        way = path.way_to(int(rows[np.clip(np.searchsorted(timed.passed, error.time), 1, len(rows) - 1)]))
+        way = path.way_to(int(rows[np.clip(np.searchsorted(timed.passing_times, error.time), 1, len(rows) - 1)]))
         first, second = error.between
         retimed = Sentence(
             "{why}; on the straight lines between the points, with rounded corners, because on a curve "

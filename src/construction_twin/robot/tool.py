@@ -27,7 +27,7 @@ class _Strict(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
 
-class Place(_Strict):
+class FilePose(_Strict):
     """A pose in a file: `xyz` [m], and turns about the fixed x, y and z axes, in this order."""
 
     xyz: _Vector
@@ -96,7 +96,7 @@ class Tool(_Strict):
     """A tool. The keys of the file, each explained in config/tools/vacuum_frame.yaml."""
 
     name: _Name
-    tool0_T_tcp: Place
+    tool0_T_tcp: FilePose
     mass: _Positive
     payload: _Positive
     load: _Positive

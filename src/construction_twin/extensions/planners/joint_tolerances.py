@@ -42,7 +42,7 @@ class Tolerances:
         free = (math.inf,) * len(robot.linear)
         return cls(position, free, free)
 
-    def asked(self, robot: RobotModel, asked: Iterable[Any]) -> Tolerances:
+    def overridden_by(self, robot: RobotModel, asked: Iterable[Any]) -> Tolerances:
         """Return these tolerances with what a goal asks for in their place: control_msgs/JointTolerance, joints in any order."""
         columns = {quantity: list(getattr(self, quantity)) for quantity in QUANTITIES}
         named: set[str] = set()

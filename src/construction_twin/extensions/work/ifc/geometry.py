@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 
 from construction_twin.extensions.work.building import Body
 from construction_twin.extensions.work.errors import BuildingError
-from construction_twin.extensions.work.ifc.notes import Misread, Notes, ReadingEntity, label
+from construction_twin.extensions.work.ifc.notes import MisreadError, Notes, ReadingEntity, label
 from construction_twin.scene.solids import hull_solid, mesh_of, solid, welded
 
 _Entity = ifcopenshell.entity_instance
@@ -138,7 +138,7 @@ def shapes(
                 items = list(_resolved(representation))
                 yield _shape(shape, items, own_openings, holes, unit, file.by_id(shape.id).GlobalId, notes)
                 del missing[shape.id]
-        except Misread:
+        except MisreadError:
             # told as what is missing
             pass
     for number, representation in missing.items():

@@ -23,7 +23,7 @@ from construction_twin.extensions.work.building import Body, BuildingModel, Elem
 from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.doubts import ABOUT_ALL, Doubts, parse_log
 from construction_twin.extensions.work.ifc.geometry import NO_UNIT_CODES, Shape, body_of, bounds, shapes
-from construction_twin.extensions.work.ifc.notes import Misread, Notes, ReadingEntity, label
+from construction_twin.extensions.work.ifc.notes import MisreadError, Notes, ReadingEntity, label
 from construction_twin.extensions.work.ifc.properties import (
     read_mass,
     read_properties,
@@ -155,7 +155,7 @@ class _Reader:
                 used_ids.add(self.ids[product.id()])
                 try:
                     matrices[product.id()] = placements.matrix(product.ObjectPlacement)
-                except Misread as error:
+                except MisreadError as error:
                     # it stands nobody knows where
                     matrices[product.id()] = None
                     self.doubts.everything = f"{ABOUT_ALL}: {error}"
@@ -368,7 +368,7 @@ def _open(contents: bytes, name: str) -> ifcopenshell.file:
             with ReadingEntity(name, "the file"):
                 file = ifcopenshell.open(f"/proc/self/fd/{copy}", format=".ifc")
                 count = len(file.types())
-        except Misread as error:
+        except MisreadError as error:
             why = next((entry.text for entry in parse_log(ifcopenshell.get_log())), error.found)
             raise BuildingError(name, "the file", why, "an IFC file (ISO 10303-21)") from error
     if count == 0:
