@@ -63,8 +63,10 @@ class Sentence(str):
 
 def join_sentences(*sentences: str) -> str:
     """Return sentences one after the other; those that are empty are left out."""
-    said = [sentence for sentence in sentences if sentence]
-    return reduce(lambda first, second: Sentence("{first}; {second}", first=first, second=second), said) if said else ""
+    texts = [sentence for sentence in sentences if sentence]
+    return (
+        reduce(lambda first, second: Sentence("{first}; {second}", first=first, second=second), texts) if texts else ""
+    )
 
 
 def replace_part(text: str, part: str, other: str) -> str:

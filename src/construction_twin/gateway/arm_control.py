@@ -73,18 +73,18 @@ class Refusals:
         reason, is_new = self.unread_reason, self.unread_reason != self._published_reason
         self._published_at, self._published_count, self._published_reason = now, self.unread, reason
         count, why = self.unread, self.unread_why
-        said = Sentence(
+        text = Sentence(
             "datagrams refused: {count}, the last one for {reason}: {why}", count=count, reason=reason, why=why
         )
-        return said, is_new
+        return text, is_new
 
     def _record(self, counter: str, reason: str, why: object) -> None:
         self._counters[counter] += 1
-        said = f"{reason}: {why}"[:LONGEST_REFUSAL]
+        text = f"{reason}: {why}"[:LONGEST_REFUSAL]
         if self._stopped:
-            self.later = said
+            self.later = text
         else:
-            self.last = said
+            self.last = text
 
 
 class ArmControl:

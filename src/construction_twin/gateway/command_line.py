@@ -130,7 +130,7 @@ def _run(argv: list[str]) -> int:
         config = load_config(arguments.config)
         broker, topics, address, controller = _ends(arguments, config)
         file = arguments.ethernet_xml
-        told = config.make.form_of(file).sends_to(file, config.layout) if file else address[0]
+        destination = config.make.form_of(file).sends_to(file, config.layout) if file else address[0]
         run, commissioning = secrets.token_hex(8), arguments.commissioning == "true"
         sock = bind(*address)
         # behind the address, which no second gateway gets
@@ -156,8 +156,8 @@ def _run(argv: list[str]) -> int:
         log.warning(
             "%s tells the controller to send to port %d, not %d", words.description, config.layout.port, address[1]
         )
-    if told != address[0] and address[0] != "0.0.0.0":
-        log.warning("%s tells the controller to send to address %s, not %s", words.description, told, address[0])
+    if destination != address[0] and address[0] != "0.0.0.0":
+        log.warning("%s tells the controller to send to address %s, not %s", words.description, destination, address[0])
     if config.layout.unfilled:
         log.info("channels that no reply fills, so they stay as they are: %s", ", ".join(config.layout.unfilled))
     if service.gateway.mode is not Mode.NORMAL:

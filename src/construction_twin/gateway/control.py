@@ -135,10 +135,10 @@ class EnforcedSpeedLimit:
     def on_limit(self, fraction: float, session: str, now: int) -> bool:
         """Store a limit, 0 to 1, of a session; return whether limit or session changed."""
         self._source.record(fraction, session, now)
-        news = (fraction, session) != (self.requested, self.source)
+        changed = (fraction, session) != (self.requested, self.source)
         self.source = session
         self._store(fraction, now)
-        return news
+        return changed
 
     def poll(self, now: int) -> bool:
         """Notice silence, and what has come into force; return whether the source has just fallen silent."""

@@ -32,8 +32,8 @@ def steady_offset(wall: Callable[[], int] = time.time_ns, steady: Callable[[], i
     """Return how far the monotonic clock is ahead of the wall clock [ns], from the narrowest of a few readings."""
     readings = []
     for _ in range(_TRIES):
-        begin, seen, end = steady(), wall(), steady()
-        readings.append((end - begin, (begin + end) // 2 - seen))
+        begin, at_wall, end = steady(), wall(), steady()
+        readings.append((end - begin, (begin + end) // 2 - at_wall))
         if end - begin <= _TIGHT:
             break
     return min(readings)[1]
@@ -242,10 +242,10 @@ class MockRsi:
 
 def _open_socket() -> tuple[socket.socket, bool]:
     """Return a socket on a port of the system's choice on all addresses, as the controller opens it, and whether it has stamps."""
-    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    made.setblocking(False)
-    made.bind(("", 0))
-    return made, ask_for_stamps(made)
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.setblocking(False)
+    sock.bind(("", 0))
+    return sock, ask_for_stamps(sock)
 
 
 def _resolve(host: str, port: int) -> tuple[str, int]:

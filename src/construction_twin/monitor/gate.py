@@ -338,8 +338,8 @@ class Gate:
             elif (watch := self.servo_watch) is not None and watch.refinement.due and self.is_at_rest(now):
                 # what was learned of the servos takes effect at rest; a change is a transition
                 if changes := watch.refine():
-                    told = ", ".join(f"{name} {1e3 * change:+.2f} ms" for name, change in changes.items())
-                    refined = Sentence("the servos' lag was refined: {lags}", lags=told)
+                    changed = ", ".join(f"{name} {1e3 * change:+.2f} ms" for name, change in changes.items())
+                    refined = Sentence("the servos' lag was refined: {lags}", lags=changed)
                     self.fire(SyncEvent.SERVOS_REFINED, refined, now)
         elif self._row(SyncEvent.GAVE_UP, now) is not None:
             held = (now - self._closed_at) / NANOSECONDS

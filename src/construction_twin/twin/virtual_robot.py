@@ -45,8 +45,8 @@ class GazeboTwin:
     def cycle(self, commanded: tuple[float, ...]) -> None:
         """See `TwinBackend`."""
 
-    def templates_of(self, stamp: int) -> None:
-        """Remember a command that was published."""
+    def on_published(self, stamp: int) -> None:
+        """Remember a command that was published, by its stamp."""
         self._open.append(stamp)
 
     def on_simulated_pose(self, stamp: int) -> bool:
