@@ -11,7 +11,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from construction_twin.core.sentences import Quantity, Sentence, both
+from construction_twin.core.sentences import Quantity, Sentence, join_sentences
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.motion_errors import JointRangeError, KinematicsError
@@ -96,7 +96,7 @@ class NotFoundError(KinematicsError):
                 "no joint solution was found in the time given ({budget:.3g} s, {tried} starts); it may still be reachable: {seen}",
                 budget=budget_s,
                 tried=tried,
-                seen=both(best, hint, Sentence("allow more time or turn the target")),
+                seen=join_sentences(best, hint, Sentence("allow more time or turn the target")),
             )
         )
 

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 import pydantic
 
-from construction_twin.core.errors import ConfigurationError, problem_of
+from construction_twin.core.errors import ConfigurationError, system_message
 from construction_twin.core.validation import configuration_error
 from construction_twin.robot.segments import Signal, Switch
 from construction_twin.robot.urdf import read_yaml
@@ -150,7 +150,7 @@ def tool_hash(path: str | Path) -> str:
     try:
         return hashlib.sha256(Path(path).read_bytes()).hexdigest()
     except OSError as error:
-        raise ConfigurationError(str(path), problem_of(error), "a YAML file of a tool") from error
+        raise ConfigurationError(str(path), system_message(error), "a YAML file of a tool") from error
 
 
 def tool_of(description: object, where: str) -> Tool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
-from construction_twin.core.sentences import Sentence, both
+from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.core.state_table import row_of
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.states import ACTIVE, ExecutorState
@@ -398,7 +398,7 @@ class TrajectoryGoals:
         self._effects.append(Accept(self.goal.id, waits))
 
     def _preempt(self, where: str = "") -> None:
-        self._finish(Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, both(self._why, where))
+        self._finish(Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, join_sentences(self._why, where))
 
     def _abort_path(self) -> None:
         report = self._report
@@ -408,10 +408,10 @@ class TrajectoryGoals:
 
     def _end_stopped(self) -> None:
         where = Sentence("the arm is at rest on its path") if self._report.reason else Sentence("the arm is at rest")
-        self._preempt(both(where, self._report.reason))
+        self._preempt(join_sentences(where, self._report.reason))
 
     def _give_up(self) -> None:
-        self._preempt(both(UNKNOWN_REST, self._report.reason))
+        self._preempt(join_sentences(UNKNOWN_REST, self._report.reason))
         if self._next is not None:
             sentence = Sentence("not planned: {unknown}; see whether it runs, and send it again", unknown=UNKNOWN_REST)
             self._end(self._next, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, sentence)

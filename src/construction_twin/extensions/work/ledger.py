@@ -248,8 +248,8 @@ class Ledger:
             self.states = replay(self.path, after)
             if self._file.lines == 0:
                 self.add(Entry(OPENED, model=model, cell=cell, robot=robot))
-            if self._file.mended:
-                self.add(Entry(MENDED, reason=f"{self._file.mended} bytes of a line without its end were cut off"))
+            if self._file.cut_off:
+                self.add(Entry(MENDED, reason=f"{self._file.cut_off} bytes of a line without its end were cut off"))
             for entry in self.states.handed_over(model_elements):
                 self.add(entry)
             for entry in self.states.doubts(model, placing, standing, model_elements):

@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from construction_twin.core.errors import ConstructionTwinError, spoken
+from construction_twin.core.errors import ConstructionTwinError, command_message
 from construction_twin.core.extensions import check_extras
 from construction_twin.core.files import check_writable, write_whole
 from construction_twin.core.share import share_file
@@ -66,7 +66,7 @@ def main(arguments: list[str]) -> int:
             write_whole(picture, cell_picture(checked.tasks, checked.loaded))
     except (ConstructionTwinError, OSError) as error:
         ended = isinstance(error, WorkerError) and not error.kind
-        said = "a process was ended, perhaps for want of memory; try --processes 1" if ended else spoken(error)
+        said = "a process was ended, perhaps for want of memory; try --processes 1" if ended else command_message(error)
         print(f"work check: {said}", file=sys.stderr)
         return NOT_CHECKED
     _print(console, checked)
