@@ -259,7 +259,7 @@ class Make(Generic[LayoutT]):
         return self.form_of(path_or_text).read(path_or_text) if path_or_text else self.plain(axes)
 
     def form_of(self, path_or_text: str) -> FileForm[LayoutT]:
-        """Return the form of a file that was path_or_text; ConfigurationError when the make has no files."""
+        """Return the form of the files, by one of them; ConfigurationError when the make has no files."""
         if self.file is None:
             expected = f"none: {self.name} has no file for its telegrams"
             raise ConfigurationError("file of the controller", path_or_text, expected)

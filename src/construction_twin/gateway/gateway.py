@@ -144,7 +144,7 @@ class Gateway(ArmControl):
             protocol=words.protocol,
             stamp=words.stamp,
             value=telegram.controller_ms,
-            why=self.controller.began,
+            why=self.controller.begin_reason,
         )
         # what stands against arming is said, too: the states of a new session do not tell
         self._began = join_sentences(self.with_mode(began), _not_reset(self.stopped))

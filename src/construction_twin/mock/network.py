@@ -19,7 +19,7 @@ from queue import Empty, SimpleQueue
 from typing import TypeVar
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.udp import ask_for_stamps, receive
+from construction_twin.core.udp import enable_timestamps, receive
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import FaultBoard
@@ -60,7 +60,7 @@ class MockRsi:
     Attributes:
         overruns, skipped: Packets that left more than half a cycle late; grid points skipped after a stall beyond `CATCH_UP`.
         foreign: Datagrams that did not come from the gateway.
-        left: When the last packet left, on the monotonic clock [ns].
+        sent_at: When the last packet left, on the monotonic clock [ns].
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class MockRsi:
     ):
         self.controller = controller
         self.faults = FaultBoard(controller, fault_seed)
-        self.overruns = self.skipped = self.foreign = self.send_errors = self.left = 0
+        self.overruns = self.skipped = self.foreign = self.send_errors = self.sent_at = 0
         self._gateway = _resolve(*gateway)
         self._cycle = controller.config.cycle * NANOSECONDS // 1000
         #: Shortest distance of two packets [ns].
@@ -113,7 +113,7 @@ class MockRsi:
                 self._follow_session(due)
                 self.faults.tick()
                 packet = self.controller.begin_cycle()
-                self.left = time.monotonic_ns()
+                self.sent_at = time.monotonic_ns()
                 if packet is not None:
                     self._send(packet)
                 sent = time.monotonic_ns()
@@ -245,7 +245,7 @@ def _open_socket() -> tuple[socket.socket, bool]:
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sock.setblocking(False)
     sock.bind(("", 0))
-    return sock, ask_for_stamps(sock)
+    return sock, enable_timestamps(sock)
 
 
 def _resolve(host: str, port: int) -> tuple[str, int]:

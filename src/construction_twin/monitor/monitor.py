@@ -108,7 +108,7 @@ class Monitor:
                 raise ConfigurationError("the executor", self._executing, "no plan that is being executed")
             # before the text is read: whatever reading it costs, it costs at rest
             self.gate.check_rest(now)
-            settings = self.gate.settings.changed(text)
+            settings = self.gate.settings.with_changes(text)
             difference = self.gate.settings.difference(settings)
             if not difference:
                 return "nothing to change"

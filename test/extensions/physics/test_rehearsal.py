@@ -16,7 +16,7 @@ from construction_twin.extensions.physics.drive import PayloadRating
 from construction_twin.extensions.physics.mass import of_shape
 from construction_twin.extensions.physics.rehearsal import Rehearsal
 from construction_twin.kinematics.chain import Chain
-from construction_twin.review.rehearsal_report import BROKEN, FAILED, PASSED, AxisLoad, finished, is_whole
+from construction_twin.review.rehearsal_report import BROKEN, FAILED, PASSED, AxisLoad, is_whole, with_hash
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.robot.segments import Segment
 from construction_twin.scene.objects import Scene, SceneObject
@@ -331,6 +331,6 @@ class TestNumbersThatAreNone:
 def test_a_report_that_passed_for_reasons_is_none():
     passed = rehearse(SMALL)
     assert passed.state == PASSED and is_whole(passed)
-    failed = finished(replace(passed, state=FAILED, reasons=("why",)), 0.0)
+    failed = with_hash(replace(passed, state=FAILED, reasons=("why",)), 0.0)
     assert is_whole(failed)
-    assert not is_whole(finished(replace(failed, state=PASSED), 0.0))
+    assert not is_whole(with_hash(replace(failed, state=PASSED), 0.0))

@@ -21,7 +21,7 @@ from construction_twin.extensions.physics.nodes import rehearsal as module
 from construction_twin.extensions.physics.nodes.rehearsal import NODE, Settings
 from construction_twin.extensions.physics.process import PROGRAM, RehearsalRequest
 from construction_twin.planning.timing import time_path
-from construction_twin.review.rehearsal_report import BROKEN, FAILED, PASSED, RehearsalReport, finished
+from construction_twin.review.rehearsal_report import BROKEN, FAILED, PASSED, RehearsalReport, with_hash
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.messages.convert import plan_to_msg
@@ -72,7 +72,7 @@ class Process:
             assert self.interrupted.wait(SOON)
             raise WorkerError("", "signal 9")
         plan = request.plan
-        return finished(RehearsalReport(plan.id, plan.hash, plan.scene, self.tool, request.inputs, PASSED), 0.1)
+        return with_hash(RehearsalReport(plan.id, plan.hash, plan.scene, self.tool, request.inputs, PASSED), 0.1)
 
     def interrupt(self) -> None:
         self.interrupts += 1
@@ -303,7 +303,7 @@ def test_the_process_rehearses_a_plan_and_its_result_crosses_the_topic_unchanged
         assert report.tool == tool_hash(tool)
         assert [axis.joint for axis in report.axes] == list(ROBOT.joint_names)
         back = from_msg(RehearsalReport, to_msg(report, Rehearsal))
-        assert finished(back, back.took).hash == report.hash == back.hash
+        assert with_hash(back, back.took).hash == report.hash == back.hash
         assert back == report
         # a held beam that weighs far more than the arm may carry
         work = work_plan(SCENES)
