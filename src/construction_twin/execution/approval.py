@@ -107,7 +107,7 @@ class Approval:
     Recording waits for a disk, so it happens outside of the `lock` that is held around every use of the executor.
 
     Args:
-        record: Called with each approval and release before it is carried out, with one that is refused, and with the ExecutionEnd of an
+        record: Called with each approval and release before it is carried out, with one that is refused, and with the end of an
             execution that could then not begin. A rejection's record is the caller's.
         clock: Returns the present moment.
 

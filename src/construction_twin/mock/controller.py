@@ -86,11 +86,11 @@ class MockController:
         flag: The controller's own flag that the link was interrupted (timeout).
         stamp: Of the last packet [ms].
         start_pose, setpoint, measured: Length n. Programmed pose of the session, present setpoint, measured axes [rad].
-        reported, true: Length n. What the last packet reports of the axes, and where they really are, which only a fault of an
+        reported, true_position: Length n. What the last packet reports of the axes, and where they really are, which only a fault of an
             encoder tells apart [rad].
         applied: Length n. Correction in effect, after clamping [rad].
         correction_lower, correction_upper: Length n. Bounds in force in this session [rad].
-        pressed, deaf: The emergency stop is pressed, which to release starts nothing; replies are ignored.
+        emergency_pressed, ignores_replies: The emergency stop is pressed, which to release starts nothing; replies are ignored.
         needs_person: True after an emergency stop: a session is started by a person only.
         ramp: The last emergency stop's, until the next session.
         tool: What the channels of a tool switch and read; None where the layout has none.
