@@ -86,8 +86,8 @@ class MockController:
         flag: The controller's own flag that the link was interrupted (timeout).
         stamp: Of the last packet [ms].
         start_pose, setpoint, measured: Length n. Programmed pose of the session, present setpoint, measured axes [rad].
-        reported, true_position: Length n. What the last packet reports of the axes, and where they really are, which only a fault of
-            an encoder tells apart [rad].
+        reported, true_position: Length n. What the last packet reports of the axes, and where they really are, which only faults of
+            encoders tell apart [rad].
         applied: Length n. Correction in effect, after clamping [rad].
         correction_lower, correction_upper: Length n. Bounds in force in this session [rad].
         emergency_pressed, ignores_replies: The emergency stop is pressed, which to release starts nothing; replies are ignored.
