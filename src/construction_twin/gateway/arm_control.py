@@ -36,9 +36,9 @@ class Refusals:
         self.unread, self.unread_reason, self.unread_why = 0, "", ""
         self._has_own = self._stopped = False
         self._published_at = -NANOSECONDS
-        self.begin_session()
+        self.begin_controller_session()
 
-    def begin_session(self) -> None:
+    def begin_controller_session(self) -> None:
         """Restart the count of what cannot be read: a telegram could be."""
         self._published_reason, self._published_count = "", 0
 
@@ -144,7 +144,7 @@ class ArmControl:
         return self.machine.reason
 
     @property
-    def session(self) -> str:
+    def command_session(self) -> str:
         """Id of the session that may command; "" for none."""
         return "" if self.machine.state is State.FAILED else self.intake.stream.session
 
