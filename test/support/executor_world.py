@@ -50,7 +50,7 @@ class World:
         patch(module.time, "monotonic_ns", lambda: self.steady)
         #: The robot's clock that nobody sets [ns].
         self.booted = 7_000 * NANOSECONDS
-        patch(module, "present", lambda: Moment("c0ffee00", self.booted))
+        patch(module, "present_moment", lambda: Moment("c0ffee00", self.booted))
         patch(module, "Cycles", self.grid)
         patch(rospy, "get_time", lambda: self.wall / NANOSECONDS)
         patch(rospy.Time, "now", lambda: to_time(self.wall))

@@ -19,8 +19,8 @@ from processes import ROOT
 from read_requests import read_message
 
 from construction_twin.core.errors import ExpiredError, PayloadError
-from construction_twin.core.freshness import Moment, parse_moment, present, staleness
-from construction_twin.core.records import SPACED, dumped
+from construction_twin.core.freshness import Moment, parse_moment, present_moment, staleness
+from construction_twin.core.records import SPACED, to_json
 from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
 from construction_twin.core.speed_limit import SpeedLimit
 from construction_twin.extensions.console.remote_review import (
@@ -143,7 +143,7 @@ class ScriptedRobot:
         self.urgent: list[dict] = []
         #: How much older than it is what comes shall count [s]: as if it had lain on its way.
         self.delay = 0.0
-        self.speed_limits = SpeedLimits(SpeedLimit(0.5), NOBODY, present())
+        self.speed_limits = SpeedLimits(SpeedLimit(0.5), NOBODY, present_moment())
         self._chain = Chain(self.robot)
         self._inverse = inverse_kinematics(self._chain, IkSettings(), np.random.default_rng(0), time.monotonic)
         self._names = tuple(self.robot.joint_names)
@@ -216,7 +216,7 @@ class ScriptedRobot:
             assert self.plan is not None
             report = replace(report, plan_id=self.plan.id, plan_hash=self.plan.hash)
             self.obstacle = obstacle
-            self._publish(self._topics.rehearsal, dumped(report, marks=SPACED), retain=True)
+            self._publish(self._topics.rehearsal, to_json(report, separators=SPACED), retain=True)
             self.publish_view()
 
     def play(self) -> None:
@@ -286,7 +286,7 @@ class ScriptedRobot:
                 progress=progress,
                 speed=self.speed_limits.state_report(time.monotonic_ns()),
             )
-            payload = self._writer.write(now, seen, present())
+            payload = self._writer.write(now, seen, present_moment())
         self._client.publish(self._topics.view, payload)
 
     def tool(self, positions: Sequence[float]) -> tuple[float, ...]:
@@ -501,7 +501,7 @@ class ScriptedRobot:
             self._answer(requests.PLAN_REQUEST, account, False, reason, **known)
 
     def _on_speed(self, kind: RequestKind, account: str, payload: bytes, retained: bool) -> None:
-        id_, now = "", present()
+        id_, now = "", present_moment()
         try:
             asked = read_message(RaiseSpeed if kind.starts else LowerSpeed, kind, payload, retained)
             id_, now = asked.id, Moment(now.origin, now.at + round(self.delay * 1e9))
@@ -513,7 +513,7 @@ class ScriptedRobot:
 
     def _too_old(self, moment: str) -> str:
         """Return why what repeats a moment is void, as if it had lain on its way for `delay`."""
-        now = present()
+        now = present_moment()
         return staleness(parse_moment(moment), Moment(now.origin, now.at + round(self.delay * 1e9)))
 
     def _on_ik(self, account: str, payload: bytes, retained: bool) -> None:

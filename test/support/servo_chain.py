@@ -216,11 +216,11 @@ class Work:
     @property
     def largest(self) -> np.ndarray:
         """Largest residual of a pose that was judged and agreed, since this was set to zero last, shape (n,)."""
-        return np.array(self.chain.gate.watch_of_servos.largest)
+        return np.array(self.chain.gate.servo_watch.largest)
 
     def forget(self) -> None:
         """Begin anew with `largest`."""
-        self.chain.gate.watch_of_servos.largest = (0.0,) * len(NAMES)
+        self.chain.gate.servo_watch.largest = (0.0,) * len(NAMES)
 
     @property
     def average(self) -> np.ndarray:

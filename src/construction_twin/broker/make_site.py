@@ -16,7 +16,7 @@ from pathlib import Path
 
 from construction_twin.broker.access import RIGHTS, Site, access_rules, broker_configuration, merged, read_person
 from construction_twin.broker.certificates import Authority, expiry, make_folder, run_tool, write_private
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, spoken
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, command_message
 from construction_twin.core.share import share_file
 
 #: Lifetime of certificates [days]: what most software accepts at most.
@@ -225,7 +225,7 @@ def main(argv: list[str] | None = None) -> int:
         site = _site(asked, folder.load())
         lines = folder.create_missing(site, asked.days, asked.renew, asked.replace, asked.renew_ca) + folder.expiries()
     except (ConstructionTwinError, OSError) as error:
-        print(f"make_site: {spoken(error)}")
+        print(f"make_site: {command_message(error)}")
         return 1
     print("\n".join(lines))
     print(f"broker: {asked.folder / 'broker/mosquitto.conf'} expects its files in {site.folder}")

@@ -158,10 +158,10 @@ def _run(argv: list[str]) -> int:
         )
     if told != address[0] and address[0] != "0.0.0.0":
         log.warning("%s tells the controller to send to address %s, not %s", words.description, told, address[0])
-    if config.layout.not_filled:
-        log.info("channels that no reply fills, so they stay as they are: %s", ", ".join(config.layout.not_filled))
+    if config.layout.unfilled:
+        log.info("channels that no reply fills, so they stay as they are: %s", ", ".join(config.layout.unfilled))
     if service.gateway.mode is not Mode.NORMAL:
-        log.warning("%s", service.gateway.noted(f"mode {service.gateway.mode.value}"))
+        log.warning("%s", service.gateway.with_mode(f"mode {service.gateway.mode.value}"))
     if stops.found:
         log.warning("stopped before, and not reset (%s)", stops.found)
     log.info("%s; %s", request_realtime(arguments.realtime), lock_memory())

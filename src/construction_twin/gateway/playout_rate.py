@@ -95,7 +95,7 @@ class PlayoutRate:
         """Whether playout time runs as the controller's: nothing is to be moved, and there is no speed limit."""
         return not (self.remaining or self.shift or self._limits)
 
-    def note(self, target: Pose) -> None:
+    def record_target(self, target: Pose) -> None:
         """Remember the target of a cycle, one cycle after the one before it."""
         self._before, self._last = self._last, target
 

@@ -25,7 +25,7 @@ class Mode(Enum):
             return cls.READ_ONLY
         return cls.COMMISSIONING if commissioning else cls.NORMAL
 
-    def noted(self, sentence: str, words: Words) -> str:
+    def describe(self, sentence: str, words: Words) -> str:
         """Return a sentence with what the mode means for the arm."""
         if self is Mode.NORMAL:
             return sentence

@@ -293,7 +293,7 @@ class RailInverse(InverseKinematics):
     def _search_or_explain(self, pose: Pose, seed: np.ndarray, configuration: Configuration | None) -> IkSolution:
         """Return the solution that the search finds, or raise the error that says why there is none."""
         if configuration is not None:
-            self.refuse(configuration, pose, seed)
+            self.raise_configuration_error(configuration, pose, seed)
         try:
             found = self._search.nearest(pose, seed)
             return replace(found, configuration=self.configuration(found.q))

@@ -10,9 +10,9 @@ from dataclasses import replace
 
 from construction_twin.core.errors import ExpiredError, PayloadError
 from construction_twin.core.freshness import Moment, is_newer, parse_moment, staleness
-from construction_twin.core.records import SPACED, dumped
+from construction_twin.core.records import SPACED, to_json
 from construction_twin.core.reports import LinkReport, ToolReport
-from construction_twin.core.sentences import Sentence, both
+from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.core.travel_time import TravelTime
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
@@ -87,7 +87,7 @@ class StateCheck:
             self._early += 1
             raise PayloadError("early", f"state travelled {-excess / NANOSECONDS:.3f} s less than the quickest one")
         self._early = 0
-        self._travel.take(stamp, received)
+        self._travel.record(stamp, received)
         if excess > self._limit:
             raise PayloadError("stale", f"state is {excess / NANOSECONDS:.3f} s older than the freshest one")
 
@@ -198,7 +198,7 @@ class PendingRequest:
             sentence = Sentence(
                 "not armed within {timeout:g} s: {why}",
                 timeout=self._timeout,
-                why=why if refused in why else both(why, refused),
+                why=why if refused in why else join_sentences(why, refused),
             )
         else:
             return None
@@ -387,7 +387,7 @@ class Bridge:
         # a status of a gateway that is gone says nothing of now
         if supervisor.state in (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE):
             return supervisor.reason
-        return both(supervisor.reason, supervisor.inputs.status.controller_sentence)
+        return join_sentences(supervisor.reason, supervisor.inputs.status.controller_sentence)
 
     def news(self, now: int, connection: str) -> tuple[bool, bool]:
         """Return whether the link is to be reported now, and whether it has changed but for figures."""
@@ -404,7 +404,7 @@ class Bridge:
         supervisor = self.supervisor
         bare = (supervisor.responsible, supervisor.not_checked) if supervisor.not_checked else (None, None)
         name = supervisor.state.name.lower()
-        return dumped(BridgeStatus(name, supervisor.reason, supervisor.session, PROTOCOL, *bare), marks=SPACED)
+        return to_json(BridgeStatus(name, supervisor.reason, supervisor.session, PROTOCOL, *bare), separators=SPACED)
 
     @property
     def _gateway_values(self) -> dict[str, object]:

@@ -35,19 +35,19 @@ ForwardKinematics = Callable[[tuple[float, ...]], tuple[Sequence[float], Sequenc
 
 
 class ReplyRefusals:
-    """The refused replies of a controller: told when that begins and when it ends.
+    """The refused replies of a controller: logged when that begins and when it ends.
 
     Attributes:
         last: Why the last one did not count; "" before the first.
         present: The same; "" when so many have counted since that it is over.
         since_valid: The same, of those since the last reply that counted.
-        news: Sentences for the log, which whoever writes them removes.
+        log_lines: Sentences for the log, which whoever writes them removes.
     """
 
     def __init__(self, recovery: int) -> None:
         self._recovery = recovery
         self.last = ""
-        self.news: list[str] = []
+        self.log_lines: list[str] = []
         self.begin_session()
 
     def begin_session(self) -> None:
@@ -56,23 +56,25 @@ class ReplyRefusals:
         self._reported: set[str] = set()
         self._refused = self._valid = 0
 
-    def refuse(self, kind: str, sentence: str) -> None:
-        """Note a reply that does not count; the first of its kind is told at once."""
+    def on_refused(self, kind: str, sentence: str) -> None:
+        """Count a reply that is refused; the first of its kind is logged at once."""
         self.last = self.present = self.since_valid = sentence
         self._refused += 1
         self._valid = 0
         if kind not in self._reported:
             self._reported.add(kind)
-            self.news.append(f"reply refused: {sentence}")
+            self.log_lines.append(f"reply refused: {sentence}")
 
-    def accept(self) -> None:
-        """Note a reply that counts."""
+    def on_valid(self) -> None:
+        """Count a valid reply."""
         if not self.present:
             return
         self.since_valid = ""
         self._valid += 1
         if self._valid >= self._recovery:
-            self.news.append(f"replies count again; {self._refused} were refused, the last one because {self.last}")
+            self.log_lines.append(
+                f"replies count again; {self._refused} were refused, the last one because {self.last}"
+            )
             self.begin_session()
 
 
@@ -222,7 +224,7 @@ class MockController:
             return self._count("duplicates")
         self._reply = telegram
         self.counters["replies"] += 1
-        self.refusals.accept()
+        self.refusals.on_valid()
         return True
 
     def _stamp_after(self, time: int) -> int:
@@ -242,7 +244,7 @@ class MockController:
     def limit_tool_speed(self, speed: float) -> None:
         """Select T1: the tool moves no faster than `speed` [m/s]."""
         self._tool_speed = speed
-        self._tool_limit = self._make_tool_limit(self.setpoint, self._last_step)
+        self._tool_limit = self._build_tool_limit(self.setpoint, self._last_step)
 
     def lift_tool_speed(self) -> None:
         """Select another mode: the arm catches up within its limits."""
@@ -262,7 +264,7 @@ class MockController:
         limits = self.config.velocity, self.config.acceleration
         self.program = Program(self.start_pose, target, *limits, duration, self._period)
 
-    def _make_tool_limit(self, position: Sequence[float], step: Sequence[float]) -> ToolSpeedLimit:
+    def _build_tool_limit(self, position: Sequence[float], step: Sequence[float]) -> ToolSpeedLimit:
         return ToolSpeedLimit(
             position,
             step,
@@ -317,7 +319,7 @@ class MockController:
         self.ramp = self.program = self._tool_limit = None
         self.needs_person = False
         if self._tool_speed:
-            self._tool_limit = self._make_tool_limit(pose, self._zero)
+            self._tool_limit = self._build_tool_limit(pose, self._zero)
 
     def _check_range(self, pose: Sequence[float]) -> None:
         config = self.config
@@ -352,7 +354,7 @@ class MockController:
         self.counters["missed"] += 1
         self.missed += 1
         if self.tool is not None:
-            self.tool.miss()
+            self.tool.on_missed_reply()
         if self.missed >= self.config.timeout:
             self.flag = True
             refused = self.refusals.since_valid
@@ -364,7 +366,7 @@ class MockController:
     def _valid_reply(self, reply: Reply) -> tuple[float, ...]:
         self.missed = 0
         if self.tool is not None:
-            self.tool.take(reply.switched)
+            self.tool.on_reply(reply.switched)
         self.counters["without_stop"] += reply.stop is None and self._stop_declared
         stop = bool(reply.stop)
         if stop and not self._stop_level:
@@ -410,7 +412,7 @@ class MockController:
         return False
 
     def _refuse(self, counter: str, kind: str, sentence: str) -> bool:
-        self.refusals.refuse(kind, sentence)
+        self.refusals.on_refused(kind, sentence)
         return self._count(counter)
 
 

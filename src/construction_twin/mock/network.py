@@ -69,7 +69,7 @@ class MockRsi:
         gateway: tuple[str, int],
         restart_after: float = 0.0,
         observe: Callable[[MockRsi], None] = lambda mock: None,
-        report: Callable[[str], None] = log.info,
+        log_line: Callable[[str], None] = log.info,
         fault_seed: int = 0,
     ):
         self.controller = controller
@@ -81,7 +81,7 @@ class MockRsi:
         self._closest = self._cycle // 2
         self._restart_after = round(restart_after * NANOSECONDS)
         self._observe = observe
-        self._report = report
+        self._log = log_line
         self._requests: SimpleQueue[tuple[Callable[[], object], Future]] = SimpleQueue()
         self._socket, self._stamped = _open_socket()
         #: A reply that arrives later than this is too late for the open cycle [ns].
@@ -121,8 +121,8 @@ class MockRsi:
                 self._ends = max(due, sent + self._closest)
                 self._observe(self)
                 self._receive_until(self._ends)
-                if self.controller.refusals.news:
-                    self._tell_refusals()
+                if self.controller.refusals.log_lines:
+                    self._log_refusals()
         finally:
             self._socket.close()
 
@@ -143,7 +143,7 @@ class MockRsi:
         if not controller.running:
             if self._stopped_at is None:
                 self._stopped_at = now
-                self._report(f"{controller.words.protocol} session {controller.session} stopped: {controller.reason}")
+                self._log(f"{controller.words.protocol} session {controller.session} stopped: {controller.reason}")
             answered = controller.counters["replies"] > self._replies
             wait = self._restart_after if answered else min(self._restart_after, _UNANSWERED)
             due = self._restart_after and now - self._stopped_at >= wait
@@ -159,18 +159,18 @@ class MockRsi:
             self._socket, self._stamped = _open_socket()
             before.close()
             begun = f"session {controller.session} started, {controller.words.stamp} {controller.stamp}"
-            self._report(f"{controller.words.protocol} {begun}, gateway {self._gateway}")
+            self._log(f"{controller.words.protocol} {begun}, gateway {self._gateway}")
 
-    def _tell_refusals(self) -> None:
-        news = self.controller.refusals.news
-        for sentence in news:
-            self._report(f"{self.controller.words.protocol} session {self.controller.session}: {sentence}")
-        news.clear()
+    def _log_refusals(self) -> None:
+        lines = self.controller.refusals.log_lines
+        for sentence in lines:
+            self._log(f"{self.controller.words.protocol} session {self.controller.session}: {sentence}")
+        lines.clear()
 
     def _send(self, packet: bytes) -> None:
         line = self.faults.to_pc
         if line.active:
-            line.put(packet, time.monotonic_ns())
+            line.send(packet, time.monotonic_ns())
             self._deliver(time.monotonic_ns())
         else:
             self._put_on_wire(packet)
@@ -218,9 +218,9 @@ class MockRsi:
 
     def _deliver(self, now: int) -> None:
         """Deliver the datagrams whose delay is over."""
-        for underway in self.faults.to_pc.take(now):
+        for underway in self.faults.to_pc.pop_arrived(now):
             self._put_on_wire(underway.data)
-        for underway in self.faults.to_controller.take(now):
+        for underway in self.faults.to_controller.pop_arrived(now):
             self.controller.receive(underway.data, not self._stamped or underway.due <= self._ends)
 
     def _drain(self) -> None:
@@ -235,7 +235,7 @@ class MockRsi:
             now = time.monotonic_ns()
             arrived = min(stamp + steady_offset(), now) if self._stamped else now
             if self.faults.to_controller.active:
-                self.faults.to_controller.put(data, arrived)
+                self.faults.to_controller.send(data, arrived)
             else:
                 self.controller.receive(data, not self._stamped or arrived <= self._ends)
 

@@ -98,7 +98,7 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
         timeout=settings.timeout,
         gripper=_gripper(settings),
     )
-    return MockController(config, build_servo(settings, robot), make_forward_kinematics(robot))
+    return MockController(config, build_servo(settings, robot), build_forward_kinematics(robot))
 
 
 def _gripper(settings: MockSettings) -> Gripper:
@@ -135,7 +135,7 @@ def build_servo(settings: MockSettings, robot: RobotModel) -> Servo:
     return RealisticServo(SERVO_OMEGA, SERVO_ZETA, RESOLUTION, period)
 
 
-def make_forward_kinematics(robot: RobotModel) -> ForwardKinematics:
+def build_forward_kinematics(robot: RobotModel) -> ForwardKinematics:
     """Return the function from axis values [rad], [m] to position [m] and A, B, C [rad] of `tip_link` in `base_link`."""
     from construction_twin.kinematics.chain import Chain  # needs PyKDL, which the pure core and its users do not
     from construction_twin.robot.frames import rotation_to_abc

@@ -275,9 +275,9 @@ class PlanningPipeline:
             place, contact = found
             on_way = path.way_to(min(int(place) + 1, len(path.rows) - 1))
             raise RetimedCollisionError(contact.between, on_way, why, lines_free=False) from error
-        assert timed.passed is not None and path.times is not None and error.time is not None
-        kept = np.flatnonzero(distinct(path.positions))
-        way = path.way_to(int(kept[np.clip(np.searchsorted(timed.passed, error.time), 1, len(kept) - 1)]))
+        assert timed.passing_times is not None and path.times is not None and error.time is not None
+        rows = np.flatnonzero(distinct(path.positions))
+        way = path.way_to(int(rows[np.clip(np.searchsorted(timed.passing_times, error.time), 1, len(rows) - 1)]))
         first, second = error.between
         retimed = Sentence(
             "{why}; on the straight lines between the points, with rounded corners, because on a curve "
@@ -288,9 +288,9 @@ class PlanningPipeline:
             where=way,
         )
         # of equal points at the end the last one is the goal, and its time the motion's
-        kept[-1] = len(path.rows) - 1
+        rows[-1] = len(path.rows) - 1
         planner = f"waypoints, timed anew ({retimed})"
-        plan = self._planner.along_lines(path.positions[kept], path.times[kept], request, world, planner)
+        plan = self._planner.along_lines(path.positions[rows], path.times[rows], request, world, planner)
         if plan is None:
             raise RetimedCollisionError((first, second), way, why, lines_free=True) from error
         return replace(plan, retimed=retimed)

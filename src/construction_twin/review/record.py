@@ -40,7 +40,7 @@ Record = Verdict | Ending | Responsibility | Release | SessionRequest | SpeedCha
 
 
 @dataclass(frozen=True)
-class Fate:
+class PlanRecord:
     """What became of one plan, as the record says.
 
     Attributes:
@@ -55,18 +55,18 @@ class Fate:
     under_review: bool = False
 
 
-def read_fate(path: str | Path, plan_id: str, source: str = "") -> Fate:
+def read_plan_record(path: str | Path, plan_id: str, source: str = "") -> PlanRecord:
     """Return what a review file, which may be being written, says of a plan by its id, or a part of its source."""
     try:
-        found = Fate(plan_id, False)
+        found = PlanRecord(plan_id, False)
         for fields in read_lines(path):
             named = fields.get("plan", "")
             if (plan_id and named == plan_id) or (source and source in fields.get("source", "")):
                 plan_id = plan_id or named
                 approved = bool(found.approved) or fields.get("verdict") == APPROVED
-                found = Fate(named, approved, fields.get("outcome", "") or found.outcome)
+                found = PlanRecord(named, approved, fields.get("outcome", "") or found.outcome)
     except (ConfigurationError, TypeError):
-        return Fate(plan_id, None)
+        return PlanRecord(plan_id, None)
     return found
 
 
@@ -107,7 +107,7 @@ class ReviewLog:
         self.file.append(self._clock(), _fields(record, self.responsibility))
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self.file.close()
 
     def _end_interrupted(self) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Annotated
 
-from construction_twin.core.records import OR_NULL, SECONDS, as_seconds, document
+from construction_twin.core.records import OR_NULL, SECONDS, json_value, seconds_field
 from construction_twin.core.sentences import Sentence
 from construction_twin.review.plan_under_review import NOT_REHEARSED, Rehearsed
 from construction_twin.robot.plan import Plan
@@ -131,7 +131,7 @@ class RehearsalReport:
     engine: str = ""
     remarks: tuple[str, ...] = ()
     hash: str = ""
-    stamp: Annotated[int, SECONDS] = as_seconds()
+    stamp: Annotated[int, SECONDS] = seconds_field()
 
 
 def is_whole(report: RehearsalReport) -> bool:
@@ -160,7 +160,7 @@ def _numbers(value: object) -> Iterator[float]:
 
 def finished(report: RehearsalReport, took: float) -> RehearsalReport:
     """Return a report with its hash and the time it took [s]."""
-    content = document(replace(report, took=0.0, settle_took=0.0, hash="", stamp=0))
+    content = json_value(replace(report, took=0.0, settle_took=0.0, hash="", stamp=0))
     digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
     return replace(report, took=took, hash=digest)
 
@@ -195,7 +195,7 @@ class RehearsalCheck:
         """Return whether a result must come before a plan can be approved."""
         return self.required and self.of(plan) is None
 
-    def problem(self, plan: Plan) -> str:
+    def obstacle(self, plan: Plan) -> str:
         """Return why a plan must not be approved, as one sentence; empty: nothing is against it."""
         if not self.required:
             return ""
@@ -212,7 +212,7 @@ class RehearsalCheck:
             reason=first_reason(report.reasons),
         )
 
-    def on_record(self, plan: Plan, overridden: bool) -> Rehearsed | None:
+    def rehearsed(self, plan: Plan, overridden: bool) -> Rehearsed | None:
         """Return what the record of a verdict on a plan says of its rehearsal; None: there was none, and none was required."""
         report = self.of(plan)
         if report is not None:

@@ -255,17 +255,19 @@ def check_joint(joint: Joint) -> None:
 
 def _range(joint: Joint, described: _RevoluteJoint | _PrismaticJoint) -> tuple[float, float]:
     """Return lower and upper end [rad], [m]: the URDF's, of a joint that turns without end the YAML's."""
-    given = described.range_deg if isinstance(described, _RevoluteJoint) else None
+    range_deg = described.range_deg if isinstance(described, _RevoluteJoint) else None
     where = f"robot/joints/{joint.name}/range_deg"
     if joint.joint_type != "continuous":
-        if given is not None:
-            raise ConfigurationError(where, list(given), "no range: the URDF has this joint's")
+        if range_deg is not None:
+            raise ConfigurationError(where, list(range_deg), "no range: the URDF has this joint's")
         return float(joint.limit.lower), float(joint.limit.upper)
-    if given is None or not given[0] < given[1]:
+    if range_deg is None or not range_deg[0] < range_deg[1]:
         raise ConfigurationError(
-            where, given and list(given), "[lower, upper] with lower < upper: the URDF lets this joint turn without end"
+            where,
+            range_deg and list(range_deg),
+            "[lower, upper] with lower < upper: the URDF lets this joint turn without end",
         )
-    lower, upper = radians(given)
+    lower, upper = radians(range_deg)
     return lower, upper
 
 

@@ -20,7 +20,7 @@ from urdf_parser_py.urdf import URDF, Joint
 from urdf_parser_py.xml_reflection.core import ParseError
 from xacro.substitution_args import ArgException
 
-from construction_twin.core.errors import ConfigurationError, problem_of
+from construction_twin.core.errors import ConfigurationError, system_message
 from construction_twin.robot.packages import Packages
 
 _LOG = logging.getLogger(__name__)
@@ -160,7 +160,7 @@ def read_text(path: str | Path) -> str:
     try:
         return Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(str(path), problem_of(error), "a readable text file") from error
+        raise ConfigurationError(str(path), system_message(error), "a readable text file") from error
 
 
 def read_yaml(path: str | Path, of_what: str = "") -> Any:

@@ -135,8 +135,8 @@ class RsiSessionRules:
         self._tolerances = setup.start_tolerances
         self._empty_telegrams = 0
 
-    def drifted(self, distance: str) -> str:
-        """See `SessionRules.drifted`."""
+    def drift_sentence(self, distance: str) -> str:
+        """See `SessionRules.drift_sentence`."""
         return Sentence(
             "{distance} off where ASPos was: a program of the controller moves the arm while a stream does; if ASPos "
             "contains the corrections, set reference to AIPos",
@@ -171,7 +171,7 @@ class RsiSessionRules:
             )
         return setpoint if self.follows else measured, ""
 
-    def restarted(
+    def restart_sign(
         self, telegram: Telegram, origin: tuple[float, ...], correction: tuple[float, ...], moving: bool
     ) -> str:
         """Return what shows that a program ended RSI and began it anew; "" for nothing. The correction is zero then."""

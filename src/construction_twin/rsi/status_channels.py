@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from construction_twin.core.sentences import Sentence, both
+from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.rsi.telegram import is_number_in_bytes
 
 #: Operating modes, as the STATUS object's type Mode_Op numbers them.
@@ -40,7 +40,7 @@ class RsiStatus:
     program: int | None = None
     override: float | None = None
 
-    def report(self) -> dict[str, str | float]:
+    def status_fields(self) -> dict[str, str | float]:
         """Return what is known, in words, and one sentence on why the arm may not move; "" for no reason."""
         found: dict[str, str | float] = {}
         if self.mode is not None:
@@ -64,7 +64,7 @@ class RsiStatus:
                 if self.override > 0.0
                 else Sentence("the override is 0 %: whether corrections act then is not known, set it to 100 %")
             )
-        return both(*parts)
+        return join_sentences(*parts)
 
 
 def status_channels(send: Sequence[str]) -> tuple[str, ...]:

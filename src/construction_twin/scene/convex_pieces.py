@@ -128,7 +128,7 @@ def farthest_outside(points: np.ndarray, pieces: Sequence[np.ndarray]) -> float:
 def convex_cells(body: manifold3d.Manifold, most: int) -> list[np.ndarray] | None:
     """Return the corners of convex bodies that fill a closed body without overlaps; None: there would be more than `most`."""
     waiting = [body]
-    kept: list[np.ndarray] = []
+    convex: list[np.ndarray] = []
     while waiting:
         part = waiting.pop()
         corners, triangles = mesh_of(part)
@@ -136,13 +136,13 @@ def convex_cells(body: manifold3d.Manifold, most: int) -> list[np.ndarray] | Non
             continue
         hull = part.hull()
         if hull.volume() - part.volume() <= _SAME * hull.volume():
-            kept.append(mesh_of(hull)[0])
+            convex.append(mesh_of(hull)[0])
             continue
         plane = _largest_within(corners, triangles)
-        if plane is None or len(kept) + len(waiting) > 8 * most:
+        if plane is None or len(convex) + len(waiting) > 8 * most:
             return None
         waiting += part.split_by_plane(tuple(plane[:3]), float(plane[3]))
-    cells = _joined(kept)
+    cells = _merged(convex)
     return sorted(cells, key=lambda cell: np.round(cell.min(axis=0), 6).tolist()) if 0 < len(cells) <= most else None
 
 
@@ -167,7 +167,7 @@ def _largest_within(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray |
     return found
 
 
-def _joined(cells: list[np.ndarray]) -> list[np.ndarray]:
+def _merged(cells: list[np.ndarray]) -> list[np.ndarray]:
     """Join two bodies whose union is convex, until there are none."""
     alive = dict(enumerate(cells))
     volumes = {number: float(ConvexHull(cell).volume) for number, cell in alive.items()}

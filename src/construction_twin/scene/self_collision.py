@@ -96,12 +96,12 @@ def _linkages(bodies: RobotBodies) -> list[set[int]]:
 
 def _nearest(urdf: URDF, start: str, chain: Collection[str], shaped: Collection[str]) -> set[str]:
     """Return the links with a shape that are fewest joints away from a link and move with it."""
-    seen, layer = {start}, {start}
+    visited, layer = {start}, {start}
     while layer and not layer & set(shaped):
         joints = [joint for joint in urdf.joints if joint.name not in chain]
         reached = {joint.child for joint in joints if joint.parent in layer}
-        layer = (reached | {joint.parent for joint in joints if joint.child in layer}) - seen
-        seen |= layer
+        layer = (reached | {joint.parent for joint in joints if joint.child in layer}) - visited
+        visited |= layer
     return layer & set(shaped)
 
 

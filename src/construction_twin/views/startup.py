@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from construction_twin.core.sentences import Sentence, both
+from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.link.gateway_status import without_counts
 
 #: Something is reported as waited for when it has been missing this long [s]: a part that starts within it is not reported.
@@ -189,7 +189,9 @@ class Missing:
     def __str__(self) -> str:
         # a reason that comes with what to do about it needs no more
         wait = self.wait_reason
-        return f"waiting for {wait.what}: {self.reason if '; ' in self.reason else both(self.reason, wait.todo)}"
+        return (
+            f"waiting for {wait.what}: {self.reason if '; ' in self.reason else join_sentences(self.reason, wait.todo)}"
+        )
 
 
 class StartUp:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 from construction_twin.core.reports import WorkReport
-from construction_twin.core.sentences import Sentence, Told, told
+from construction_twin.core.sentences import Sentence, SentenceTemplates, templates_of
 from construction_twin.views.startup import OPERATOR, REVIEWER, SYSTEM, TECHNICIAN, Missing, ReportedState
 
 
@@ -280,7 +280,7 @@ class Line:
     who: str = ""
     todo: str = ""
     page: str = ""
-    said: Told = field(default_factory=dict)
+    said: SentenceTemplates = field(default_factory=dict)
 
 
 def status_lines(reports: CurrentReports) -> list[Line]:
@@ -354,5 +354,5 @@ def _line(topic: str, state: str, reason: str) -> Line:
 def _line_of(topic: str, state: str, text: Wording, reason: str) -> Line:
     sentence = Sentence("{sentence}: {reason}", sentence=text.sentence, reason=reason) if reason else text.sentence
     alike = {name: getattr(text, name) for name in ("waits_for", "who", "todo", "page")}
-    said = told(sentence, text.waits_for, text.todo)
+    said = templates_of(sentence, text.waits_for, text.todo)
     return Line(topic=topic, state=state, level=int(text.level), sentence=sentence, said=said, **alike)

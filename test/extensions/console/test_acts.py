@@ -500,7 +500,7 @@ def answering(bench, monkeypatch, now=5.0):
         return WorkDecideResponse(True, "T1: it stands at its place", "")
 
     bench.decide.do = decide
-    monkeypatch.setattr(module, "present", lambda: Moment("c0ffee00", round(now * 1e9)))
+    monkeypatch.setattr(module, "present_moment", lambda: Moment("c0ffee00", round(now * 1e9)))
     return asked
 
 

@@ -167,7 +167,7 @@ def bench(monkeypatch):
     monkeypatch.setattr(rospy, "loginfo", lambda *_: None)
     for module in (requests, endpoint):
         monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: made.steady))
-    monkeypatch.setattr(endpoint, "present", made.moment)
+    monkeypatch.setattr(endpoint, "present_moment", made.moment)
     return made
 
 

@@ -42,9 +42,9 @@ def test_the_same_commands_give_the_same_bytes():
 def test_before_the_first_model_it_is_where_it_is_told_to_be_and_says_so():
     twin = LiveTwin()
     assert twin.cycle(HOME) == HOME and twin.effort == () == twin.contacts
-    assert twin.problem == "nothing is simulated before the scene is known: the twin is where it is told to be"
+    assert twin.fault == "nothing is simulated before the scene is known: the twin is where it is told to be"
     twin.set_model(model_in())
-    assert twin.problem == ""
+    assert twin.fault == ""
 
 
 def test_another_scene_takes_pose_speed_and_servo_over():
@@ -92,7 +92,7 @@ def test_a_state_that_has_become_useless_is_counted_and_begun_anew_where_it_is_c
     twin.cycle(HOME)
     # the gate lets no such command pass: it stands for whatever else may make numbers useless
     twin.cycle((float("nan"),) * 6)
-    assert twin.diverged == 1 and twin.problem == (
+    assert twin.diverged == 1 and twin.fault == (
         "the simulation was begun anew at the commanded pose, because its numbers had become useless: 1 times so far"
     )
     assert np.abs(np.array(twin.cycle(HOME)) - HOME).max() < 1e-7

@@ -8,7 +8,7 @@ import pytest
 from physics_samples import READY, between, bricks, rehearse, robot_of
 from scene_samples import FLOOR
 
-from construction_twin.extensions.physics.standing import MOST, nearest
+from construction_twin.extensions.physics.standing import MOST, nearest_bodies
 from construction_twin.kinematics.chain import Chain
 from construction_twin.review.rehearsal_report import FAILED, PASSED, RehearsalReport
 from construction_twin.scene.objects import Scene, SceneObject
@@ -116,5 +116,5 @@ def test_of_many_bodies_those_near_the_path_can_be_tipped_over():
         fixed(report)
     )
     bodies = {item.name: item.name for item in objects}
-    ordered = nearest(objects, bodies, robot_of("kr120"), np.linspace(READY, ASIDE, 100))
+    ordered = nearest_bodies(objects, bodies, robot_of("kr120"), np.linspace(READY, ASIDE, 100))
     assert ordered[0] == "near" and set(ordered) == set(bodies)

@@ -7,7 +7,7 @@ import math
 import pytest
 from executor_bench import ROBOT
 
-from construction_twin.core.sentences import both
+from construction_twin.core.sentences import join_sentences
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.extensions.planners.goal_states import TABLE, Action, GoalEvent, GoalState
@@ -272,7 +272,7 @@ class TestCancel:
         end = desk.after(0.02, at_rest=True).end()
         assert (end.ending, end.sentence) == (
             Ending.CANCELED,
-            both(CANCELLED, "the arm is at rest on its path", "at rest"),
+            join_sentences(CANCELLED, "the arm is at rest on its path", "at rest"),
         )
 
     def test_a_stop_that_failed_is_asked_for_again_until_it_brakes(self, desk):
@@ -318,7 +318,7 @@ class TestCancel:
         assert desk.after(STOPPED / NANOSECONDS - 0.1).effects() == [] and desk.state is GoalState.STOPPED
         first, waiting = desk.after(0.2).effects(End)
         assert (first.goal_id, first.ending) == ("a", Ending.CANCELED)
-        assert first.sentence == both(CANCELLED, UNKNOWN_REST, "as approved")
+        assert first.sentence == join_sentences(CANCELLED, UNKNOWN_REST, "as approved")
         assert (waiting.goal_id, waiting.ending) == ("b", Ending.CANCELED)
         assert waiting.sentence.startswith(f"not planned: {UNKNOWN_REST};")
         assert desk.state is GoalState.FREE and desk.after(1.0, at_rest=True).effects() == []
@@ -379,7 +379,7 @@ class TestAnotherGoal:
         assert desk.effects(Brake) == [Brake(PLAN.id)]
         desk.executes(ExecutorState.IDLE, "stopped", "at rest")
         end, ask = desk.after(0.02, at_rest=True).effects()
-        assert (end.goal_id, end.ending) == ("a", Ending.CANCELED) and end.sentence == both(
+        assert (end.goal_id, end.ending) == ("a", Ending.CANCELED) and end.sentence == join_sentences(
             REPLACED, "the arm is at rest on its path", "at rest"
         )
         assert ask == RequestPlan(goal("b"))

@@ -40,7 +40,7 @@ from construction_twin.extensions.work.worker_functions import PlanningContext
 from construction_twin.planning.planner import PlanRequest
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.work_plan import plan_work
-from construction_twin.review.record import Fate
+from construction_twin.review.record import PlanRecord
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import product
 from construction_twin.scene.scene_change import SceneChange
@@ -174,7 +174,7 @@ def test_an_open_grip_says_nothing_of_what_was_done(tmp_path):
     offered = TaskMemory("T", TaskState.READY).with_entry(Entry("offered", "T", "E", offer="o", process="touch"))
     begun = offered.with_entry(Entry("begun", "T", "E", plan="p"))
     for memory in (offered, begun):
-        (entry,) = events_after_restart(memory, Fate("p", None), GripReading(True, False))
+        (entry,) = events_after_restart(memory, PlanRecord("p", None), GripReading(True, False))
         assert entry.event == "unknown" and "carried out?" in memory.with_entry(entry).question("stud")
 
 

@@ -9,7 +9,7 @@ import pytest
 from work_samples import building, element, layout, pairs, planner, recipes, robot, tool, work_cell
 
 from construction_twin.core.units import CYCLE
-from construction_twin.extensions.work.contacts import Shapes
+from construction_twin.extensions.work.contacts import ShapeDistances
 from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.extensions.work.layout import Layout
 from construction_twin.extensions.work.process import TaskMotions
@@ -118,7 +118,7 @@ def test_what_may_touch_does_not_go_into_each_other(plans):
             world = CollisionWorld(robot(), scene, pairs())
             qs = segment.trajectory.sample_many(cycle_times(segment.trajectory))[0]
             assert world.all_free(qs) is None
-            touching = world.of_touching()
+            touching = world.touching_world()
             found = None if touching is None else touching.clearance_of(qs)
             if segment.name in ("carry", "to stock"):
                 # the tool may touch the flange, which moves with it
@@ -294,10 +294,10 @@ ALIKE = Pose(np.array([0.0, 0.0, 1.05]), np.eye(3))
 )
 def test_only_what_is_under_an_element_holds_it(position, holds):
     other = replace(BOX, name="other", position=position)
-    assert Shapes().holder([BOX], ALIKE, [other], UP) == ("other" if holds else "")
+    assert ShapeDistances().support_below([BOX], ALIKE, [other], UP) == ("other" if holds else "")
 
 
 def test_what_is_under_is_so_by_gravity_and_not_by_the_base():
     wall = replace(BOX, name="wall", position=(-0.2, 0.0, 1.05))
-    assert Shapes().holder([BOX], ALIKE, [wall], UP) == ""
-    assert Shapes().holder([BOX], ALIKE, [wall], np.array([1.0, 0.0, 0.0])) == "wall"
+    assert ShapeDistances().support_below([BOX], ALIKE, [wall], UP) == ""
+    assert ShapeDistances().support_below([BOX], ALIKE, [wall], np.array([1.0, 0.0, 0.0])) == "wall"

@@ -85,7 +85,7 @@ def test_a_stall_is_found_while_datagrams_are_lost(share, servos):
 
 @pytest.mark.parametrize("servos", [NOMINAL, None], ids=["servos known", "not known"])
 def test_an_arm_that_its_gateway_keeps_still_is_waited_for_longer_than_setpoints_are_remembered(monkeypatch, servos):
-    monkeypatch.setattr(comparison, "KEPT", 1024)
+    monkeypatch.setattr(comparison, "MAX_SETPOINTS", 1024)
     chain = servo_chain(servos)
     plan, fastest, _ = sweep(chain, 0)
     chain.transitions.clear()

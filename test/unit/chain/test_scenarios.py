@@ -285,7 +285,7 @@ class ScenarioRun:
 
     def _in_the_background(self) -> None:
         if self._auto:
-            self._approval.approve_by_itself(self.chain.now)
+            self._approval.approve_automatically(self.chain.now)
 
     def _record_action(self, topic: str, value: str, reason: str = "") -> None:
         self._actions.append(Change(self.chain.now, topic, value, reason))

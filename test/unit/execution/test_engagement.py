@@ -146,7 +146,7 @@ class TestEngaged:
         offer_back(bench, plan)
         # freed, and left in another one: what was found for the first says nothing of the second
         keeper = bench.executor.engagement
-        keeper.leave_inside(replace(keeper.present, reason="again"))
+        keeper.mark_engaged(replace(keeper.present, reason="again"))
         with pytest.raises(
             ReviewError,
             match=r"may not start: the arm was left in engaged segment 'lift' of plan w \(again\)",
@@ -158,7 +158,7 @@ class TestEngaged:
         bench.approval.rehearsal = RehearsalCheck(required=True)
         plan = way_back(bench)
         offer_back(bench, plan)
-        bench.approval.look_for_obstacle()
+        bench.approval.update_obstacle()
         assert bench.approval.obstacle == ""
         bench.review(plan.id, plan.hash, True, "Ada")
         bench.run_until_idle()
@@ -210,7 +210,7 @@ class TestEngaged:
     def test_a_person_frees_no_other_engagement_than_was_looked_at(self, bench):
         left = stopped_in(bench, 2)
         bench.record = lambda record: (
-            bench.records.append(record) or bench.executor.engagement.leave_inside(replace(left))
+            bench.records.append(record) or bench.executor.engagement.mark_engaged(replace(left))
         )
         with pytest.raises(ExecutionError, match="left in another engaged segment meanwhile"):
             bench.approval.release("Ada", "by hand")
@@ -224,7 +224,7 @@ class TestEngaged:
         other.with_tool().ready()
         other.tool.inputs = {"gripped": True}
         other.tell()
-        assert other.executor.engagement.engaged and other.executor.engagement.settled
+        assert other.executor.engagement.engaged and other.executor.engagement.saved
         plan = way_back(other)
         offer_back(other, plan)
         other.review(plan.id, plan.hash, True, "Ada")

@@ -67,11 +67,11 @@ class TestRequired:
     )
     def test_nothing_else_is_approved_and_the_refusal_is_on_record(self, bench, report, words):
         plan = offered(bench, report)
-        bench.approval.look_for_obstacle()
+        bench.approval.update_obstacle()
         obstacle = bench.approval.obstacle
         assert isinstance(obstacle, Sentence) and words in obstacle and bench.approval.overridable
         bench.executor.on_sync(SyncState.HOLDING, True)
-        bench.approval.look_for_obstacle()
+        bench.approval.update_obstacle()
         assert bench.approval.obstacle != obstacle and not bench.approval.overridable
         bench.executor.on_sync(SyncState.IN_SYNC, True)
         with pytest.raises(ReviewError, match=words):
@@ -112,15 +112,15 @@ class TestRequired:
 
     def test_what_needs_no_person_waits_for_it_and_is_withdrawn_when_it_fails(self, bench):
         plan = offered(bench)
-        assert bench.approval.approve_by_itself(bench.stamp) is None
+        assert bench.approval.approve_automatically(bench.stamp) is None
         assert bench.executor.under_review.plan is plan
         bench.approval.rehearsal.on_report(connection_log(plan, FAILED))
-        assert bench.approval.approve_by_itself(bench.stamp) is None
+        assert bench.approval.approve_automatically(bench.stamp) is None
         assert bench.executor.under_review.plan is None and bench.state is ExecutorState.IDLE
         passed = make_plan("q")
         bench.executor.offer(passed)
         bench.approval.rehearsal.on_report(connection_log(passed))
-        taken = bench.approval.approve_by_itself(bench.stamp)
+        taken = bench.approval.approve_automatically(bench.stamp)
         assert taken is not None and taken.reviewer == AUTO_APPROVE
 
 

@@ -9,7 +9,7 @@ from gateway_cell import following
 from tool_cell import ToolCell
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.sentences import Sentence, told
+from construction_twin.core.sentences import Sentence, templates_of
 from construction_twin.link.gateway_status import GatewayStatus, parse_answer, parse_status
 
 TOOL = {
@@ -131,7 +131,7 @@ def test_sentences_in_each_other_and_lists_in_lists_are_read_without_end():
     said = {"a" * k: {"template": "a{x}", "values": {"x": "a" * (k - 1)}} for k in range(2, 250)}
     deep = json.loads("[" * 700 + "]" * 700)
     found = parsed({"state": "ready", "reason": "a" * 249, "said": said, "other": deep})
-    assert found.reason == "a" * 249 and len(told(found.reason)) <= 20
+    assert found.reason == "a" * 249 and len(templates_of(found.reason)) <= 20
     assert len(parsed({"reason": "x" * 100_000}).reason) == 2000
 
 

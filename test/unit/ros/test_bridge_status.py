@@ -68,7 +68,7 @@ def test_what_the_controller_says_against_a_motion_stands_in_link_and_diagnostic
     assert (shown["controller_override_percent"], shown["controller_sentence"]) == ("100", stopped.sentence)
     assert bench.links[-1][0].reason.endswith(f"; {stopped.sentence}")
     assert bench.bridge.diagnose().sentence.endswith(f"; {stopped.sentence}")
-    bench.shown(status | {"controller": RsiStatus(3, 3, 100.0).report()})
+    bench.shown(status | {"controller": RsiStatus(3, 3, 100.0).status_fields()})
     assert "STOP" not in bench.links[-1][0].reason
 
 
@@ -94,7 +94,7 @@ def test_a_count_of_refused_datagrams_that_grows_is_no_news(bench):
 
 def test_what_a_controller_said_before_its_gateway_went_is_not_told(bench):
     bench.connect()
-    status = following().gateway.status() | {"controller": RsiStatus(1).report()}
+    status = following().gateway.status() | {"controller": RsiStatus(1).status_fields()}
     bench.shown(status)
     bench.shown(status | {"state": "offline", "reason": "gateway stopped"})
     assert bench.links[-1][0].text == "GATEWAY_OFFLINE" and "T1" not in bench.links[-1][0].reason

@@ -383,7 +383,7 @@ class TestAge:
     def test_a_pause_whose_moment_cannot_be_read_is_carried_out_and_no_screen_undoes_it(self, world, monkeypatch):
         world.playing()
         with monkeypatch.context() as broken:
-            broken.setattr(module, "present", lambda: 1 // 0)
+            broken.setattr(module, "present_moment", lambda: 1 // 0)
             assert world.ask("pause").success
             world.run(1)
         world.run(1)

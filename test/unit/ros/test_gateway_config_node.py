@@ -24,7 +24,7 @@ def test_a_real_arm_s_stop_outlasts_a_simulation_and_another_master(tmp_path):
 
     def stop(arm):
         stops = StopFile(stop_file(arm, config, "kr120"))
-        stops.keep(f"{arm} stopped")
+        stops.save(f"{arm} stopped")
         stops.close()
 
     stop("real")

@@ -71,7 +71,7 @@ class World:
         codec = JointStringCodec.of(ROBOT, 6)
         self.gate = Gate(MotionLimits.of(ROBOT), codec, GateSettings(**SETTINGS), self.steady, self.servos)
         self.patch(module, "make_gate", lambda *_: self.gate)
-        log = SimpleNamespace(add=self.report, flush=lambda: None, problem="", values=dict)
+        log = SimpleNamespace(add=self.report, flush=lambda: None, fault="", values=dict)
         self.patch(module, "TransitionLog", lambda *_: log)
         self.patch(module, "SpeedLimitService", lambda *_: SimpleNamespace(diagnose=lambda: Diagnosis(OK, "")))
         self.patch(rospy, "ServiceProxy", lambda *_: self.plan_to_joints)

@@ -42,9 +42,9 @@ class Bench:
         monkeypatch.setenv("ROS_HOME", str(home))
         patch(pca_monitor.time, "monotonic_ns", lambda: round(self.now * NANOSECONDS))
         patch(pca_monitor, "now_ns", lambda: round(self.now * NANOSECONDS))
-        patch(pca_monitor, "present", lambda: Moment(BOOT, round(self.now * NANOSECONDS)))
+        patch(pca_monitor, "present_moment", lambda: Moment(BOOT, round(self.now * NANOSECONDS)))
         # what it records of its gate is another file, of which one process has one
-        record = SimpleNamespace(add=lambda _: None, flush=lambda: None, problem="", values=dict)
+        record = SimpleNamespace(add=lambda _: None, flush=lambda: None, fault="", values=dict)
         patch(pca_monitor, "TransitionLog", lambda *_: record)
         self.restart()
 

@@ -196,7 +196,7 @@ class Falling:
     """A simulated arm that is a little lower in every cycle, whatever it is told."""
 
     def __init__(self):
-        self.problem, self.contacts, self.effort, self.remarks = "", (), (1.0,) * 6, ()
+        self.fault, self.contacts, self.effort, self.remarks = "", (), (1.0,) * 6, ()
         self.fallen, self.restarts, self.models = 0, 0, []
 
     def cycle(self, commanded):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from construction_twin.core.records import document
+from construction_twin.core.records import json_value
 from construction_twin.core.reports import TaskReport, WorkReport
-from construction_twin.core.sentences import Sentence, told
+from construction_twin.core.sentences import Sentence, templates_of
 from construction_twin.execution.states import ExecutorState
 from construction_twin.extensions.work.task_memory import TaskState
 from construction_twin.link.observations import LinkState
@@ -30,7 +30,7 @@ def states_of(topic: str) -> list[str]:
 
 
 def lines(reports: CurrentReports) -> dict[str, dict]:
-    return {line.topic: document(line) for line in status_lines(reports)}
+    return {line.topic: json_value(line) for line in status_lines(reports)}
 
 
 def test_every_state_of_every_node_has_words():
@@ -73,7 +73,7 @@ def test_why_the_arm_holds_comes_before_all_that_follows_from_it(state, words):
     first, *others = status_lines(heard)
     assert "startup" not in [line.topic for line in others], "that the gate is closed is said already"
     assert (first.topic, first.state) == ("cause", words) and first.sentence.endswith(f": {cause}")
-    assert first.said == told(first.sentence) and cause in first.said and first.level == Level.PERSON
+    assert first.said == templates_of(first.sentence) and cause in first.said and first.level == Level.PERSON
     execution = next(line for line in others if line.topic == "execution")
     assert (execution.state, execution.level) == ("NOT_YET", Level.WAITS) and execution.sentence.endswith(
         ": not in sync"

@@ -17,9 +17,9 @@ import pydantic
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.files import read_file, write_whole
-from construction_twin.core.records import dumped
+from construction_twin.core.records import to_json
 from construction_twin.core.reports import SpeedChange
-from construction_twin.core.sentences import Sentence, told
+from construction_twin.core.sentences import Sentence, templates_of
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.views.status_line import Level, Line
 
@@ -110,7 +110,7 @@ class MessageBoard:
             yield
             if self._published is not self.messages:
                 self._published = self.messages
-                self._publish(dumped(self.messages))
+                self._publish(to_json(self.messages))
 
     def on_lines(self, lines: Sequence[Line]) -> None:
         """Take the status line as it is now."""
@@ -165,7 +165,7 @@ class MessageBoard:
                 return
             self._written = self.messages
         try:
-            write_whole(self._file, dumped(self._written))
+            write_whole(self._file, to_json(self._written))
         except OSError as error:
             self._refuse("messages", f"{self._file} was not written: {error.strerror or error}")
 
@@ -182,7 +182,7 @@ class MessageBoard:
 
 
 def _act(act: str, sentence: str) -> Line:
-    return Line(topic=PERSON, state=act, sentence=sentence, said=told(sentence))
+    return Line(topic=PERSON, state=act, sentence=sentence, said=templates_of(sentence))
 
 
 def _goes_on(last: SpeedChange, change: SpeedChange) -> bool:

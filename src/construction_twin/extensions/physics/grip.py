@@ -20,7 +20,7 @@ import pinocchio
 from construction_twin.extensions.physics.model import GRAVITY, PhysicsModel
 from construction_twin.review.rehearsal_report import GripLoad
 from construction_twin.robot.frames import rpy_to_quaternion
-from construction_twin.robot.tool import Cups, Place
+from construction_twin.robot.tool import Cups, FilePose
 from construction_twin.scene.collision_bodies import Body
 
 #: Friction of a cup's lip on what it holds [1] of which nobody says more: dry board, stone and metal.
@@ -47,7 +47,7 @@ class SuctionGrip:
     holds: float
 
     @staticmethod
-    def of(cups: Cups, tip_T_tcp: Place) -> SuctionGrip:
+    def of(cups: Cups, tip_T_tcp: FilePose) -> SuctionGrip:
         """Return the grip of all cups of a tool."""
         pose = np.array((*tip_T_tcp.xyz, *rpy_to_quaternion(tip_T_tcp.rpy_deg)), dtype=float)
         at = np.array(cups.at, dtype=float)

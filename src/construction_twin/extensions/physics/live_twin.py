@@ -34,7 +34,7 @@ class LiveTwin:
         self.diverged = 0
 
     @property
-    def problem(self) -> str:
+    def fault(self) -> str:
         """Why what is shown is not a simulation, or was begun anew; empty: it is one."""
         if self._model is None and not self._next:
             return "nothing is simulated before the scene is known: the twin is where it is told to be"

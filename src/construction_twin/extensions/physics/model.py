@@ -203,10 +203,10 @@ class _Builder:
         """Add a body per joint, and return them by Pinocchio's index of the joint; 0 is the world."""
         data = model.createData()
         pinocchio.forwardKinematics(model, data, pinocchio.neutral(model))
-        made = [self._spec.worldbody]
+        joint_bodies = [self._spec.worldbody]
         for index in range(1, model.njoints):
             placement = model.jointPlacements[index]
-            body = made[model.parents[index]].add_body(
+            body = joint_bodies[model.parents[index]].add_body(
                 name=f"joint\n{model.names[index]}", pos=placement.translation, quat=_quaternion(placement.rotation)
             )
             if not model.parents[index]:
@@ -222,12 +222,12 @@ class _Builder:
             inertia, remarks = of_link(self._robot_bodies, index)
             self._remarks += remarks
             _set_mass(body, inertia)
-            made.append(body)
+            joint_bodies.append(body)
         for link, shapes in itertools.groupby(self._robot_bodies.bodies, key=lambda one: one.owner):
             pieces = list(shapes)
             # a body of its own per link: pairs are left out link by link
-            self._add_geoms(made[pieces[0].joint].add_body(name=link), pieces)
-        return made
+            self._add_geoms(joint_bodies[pieces[0].joint].add_body(name=link), pieces)
+        return joint_bodies
 
     def _add_objects(self, joints: list) -> list[tuple[Body, MassProperties]]:
         """Add the scene's objects, and return those that the arm carries with what they weigh."""

@@ -32,7 +32,7 @@ from construction_twin.extensions.physics.standing import (
     RestingBodies,
     come_to_rest,
     displacement,
-    nearest,
+    nearest_bodies,
 )
 from construction_twin.review.rehearsal_report import (
     FAILED,
@@ -277,7 +277,7 @@ class _Run:
         names = {item.name for item in scene.objects if not item.link} & of.masses.keys() - self._handled
         known = {self._bodies[name] for name in names} - {self._bodies[name] for name in self._handled}
         objects = [item for item in scene.objects if self._bodies[item.name] in known]
-        near = nearest(objects, self._bodies, of.bodies.robot, setpoints) if len(known) > MOST else sorted(known)
+        near = nearest_bodies(objects, self._bodies, of.bodies.robot, setpoints) if len(known) > MOST else sorted(known)
         pieces = {item.name: self._bodies[item.name] for item in objects if self._bodies[item.name] in near[:MOST]}
         standing = come_to_rest(partial(self._model, scene), pieces, setpoints[0], of.servo)
         if standing is None:

@@ -103,7 +103,7 @@ def _settle(arm: SimulatedArm, pose: np.ndarray) -> None:
             return
 
 
-def nearest(
+def nearest_bodies(
     objects: Iterable[SceneObject], bodies: Mapping[str, str], robot: RobotModel, poses: np.ndarray
 ) -> list[str]:
     """Return the bodies of objects, those first that the tool comes nearest to along `poses`, shape (m, n); then by name."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
-from construction_twin.core.sentences import Sentence, both
+from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.core.state_table import row_of
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.states import ACTIVE, ExecutorState
@@ -320,16 +320,16 @@ class TrajectoryGoals:
 
     def _check_goal(self, sample: Sample | None, now: int) -> None:
         assert self.goal is not None  # it settles
-        problem: str = Sentence("twin and arm are not known to be at rest")
+        violation: str = Sentence("twin and arm are not known to be at rest")
         if sample is not None:
             # the twin rests at the path's end, and the arm answers to that: what they show is the goal, and how far off it is
             error = sample.error
-            problem = self.goal.goal.violation(self._robot, error.position, error.velocity, error.acceleration)
-        if not problem:
+            violation = self.goal.goal.violation(self._robot, error.position, error.velocity, error.acceleration)
+        if not violation:
             self._on(GoalEvent.AT_GOAL, now)
         elif now - self._since > self.goal.time_tolerance * NANOSECONDS:
             seconds = self.goal.time_tolerance
-            late = Sentence("{seconds:g} s after the plan's end {problem}", seconds=seconds, problem=problem)
+            late = Sentence("{seconds:g} s after the plan's end {problem}", seconds=seconds, problem=violation)
             self._on(GoalEvent.TOO_LATE, now, late)
 
     # -- the table
@@ -398,7 +398,7 @@ class TrajectoryGoals:
         self._effects.append(Accept(self.goal.id, waits))
 
     def _preempt(self, where: str = "") -> None:
-        self._finish(Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, both(self._why, where))
+        self._finish(Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, join_sentences(self._why, where))
 
     def _abort_path(self) -> None:
         report = self._report
@@ -408,10 +408,10 @@ class TrajectoryGoals:
 
     def _end_stopped(self) -> None:
         where = Sentence("the arm is at rest on its path") if self._report.reason else Sentence("the arm is at rest")
-        self._preempt(both(where, self._report.reason))
+        self._preempt(join_sentences(where, self._report.reason))
 
     def _give_up(self) -> None:
-        self._preempt(both(UNKNOWN_REST, self._report.reason))
+        self._preempt(join_sentences(UNKNOWN_REST, self._report.reason))
         if self._next is not None:
             sentence = Sentence("not planned: {unknown}; see whether it runs, and send it again", unknown=UNKNOWN_REST)
             self._end(self._next, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, sentence)

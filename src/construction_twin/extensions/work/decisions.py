@@ -219,7 +219,7 @@ def record_measured(board: TaskBoard, element: str, pose: Pose, person: str, rea
 
 def _require_free_slot(board: TaskBoard, task: str) -> None:
     """Refuse an element in stock while another one lies in its slot."""
-    other = board.loaded.stock.instead_of(board.element_of(task), board.built.out_of_stock())
+    other = board.loaded.stock.later_element_in_slot(board.element_of(task), board.built.out_of_stock())
     if not other:
         return
     later = board.title(board.loaded.schedule.placing[other])

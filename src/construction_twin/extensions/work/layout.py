@@ -10,7 +10,7 @@ import numpy as np
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work.building import BuildingModel, Element
-from construction_twin.extensions.work.contacts import Shapes
+from construction_twin.extensions.work.contacts import ShapeDistances
 from construction_twin.extensions.work.convex_bodies import ElementPieces
 from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.process import WorkJob
@@ -55,7 +55,7 @@ class StockPlan:
             if element not in gone and slot.load == left[self._unit(slot)]
         )
 
-    def instead_of(self, element: str, out_of_stock: Collection[str]) -> str:
+    def later_element_in_slot(self, element: str, out_of_stock: Collection[str]) -> str:
         """Return the element of a later load that counts as delivered where this one is to lie again; empty: none."""
         slot = self.slots.get(element)
         if slot is None:
@@ -188,7 +188,7 @@ class Layout:
             for item in items
         )
         self.comes_after = comes_after(building.elements, moved)
-        self._shapes = Shapes()
+        self._shapes = ShapeDistances()
         self._stood: dict[tuple[str, bytes], tuple[SceneObject, ...]] = {}
 
     def base_T_goal(self, element: str) -> Pose:
@@ -209,20 +209,20 @@ class Layout:
                 objects.append(item)
         objects += self._tool
         for element in self.stock.in_stock({*placed, *gone}):
-            objects += self._at(element, self.stock.slots[element].base_T_element)
+            objects += self._objects_at(element, self.stock.slots[element].base_T_element)
         for element in self.stays:
             if element not in placed and element not in gone:
-                objects += self._at(element, self.base_T_goal(element))
+                objects += self._objects_at(element, self.base_T_goal(element))
         for element, pose in placed.items():
             if element in self.pieces:
-                objects += self._at(element, pose)
+                objects += self._objects_at(element, pose)
         return Scene(tuple(objects), self.work_cell.scene.padding)
 
     def job_for(self, element: str, scene: Scene, task: str = "") -> WorkJob:
         """Return the job of an element; `task`: its id, by default the element's first."""
         asked = self._jobs.get(task) or next(job for job in self._jobs.values() if job.element == element)
         built, slot = self.building.element(element), self.stock.slots.get(element) if asked.moves else None
-        goal = self.base_T_goal(element) if asked.moves else self._stands(element, scene)
+        goal = self.base_T_goal(element) if asked.moves else self._standing_pose(element, scene)
         of_task = self.building.tasks.get(asked.task)
         of_work = {item.name for items in self.pieces.values() for item in items}
         of_work |= {item.name for item in self.standing}
@@ -246,14 +246,14 @@ class Layout:
             task_properties={} if of_task is None else of_task.properties,
         )
 
-    def _stands(self, element: str, scene: Scene) -> Pose:
+    def _standing_pose(self, element: str, scene: Scene) -> Pose:
         """Return where an element stands in a scene, or as designed."""
         first = self.pieces[element][0]
         if first.name not in scene.names or scene.get(first.name).link:
             return self.base_T_goal(element)
         return product(scene.get(first.name).pose, inverse(first.pose))
 
-    def _at(self, element: str, base_T_element: Pose) -> tuple[SceneObject, ...]:
+    def _objects_at(self, element: str, base_T_element: Pose) -> tuple[SceneObject, ...]:
         key = element, base_T_element.position.tobytes() + base_T_element.rotation.tobytes()
         if key not in self._stood:
             if len(self._stood) >= _STOOD:

@@ -168,22 +168,27 @@ class TaskStates:
         """Return the events by which a person is asked about what was touched and has changed since it was placed or answered."""
         found, called = [], {(each.name, each.ifc_class) for each in model_elements.values()}
         for task, memory in self.tasks.items():
-            no_more, stands = task not in self.after, memory.placed and memory.state in SETTLED
+            no_more, is_standing = task not in self.after, memory.placed and memory.state in SETTLED
             heir = placing.get(memory.element, "") if no_more else ""
             if not memory.touched or (no_more and memory.stays):
                 continue
             if heir and self.tasks[heir].state in (TaskState.WAITING, TaskState.READY):
                 event, reason = "found" if memory.placed else "unknown", "the model was changed, and its task"
-                if stands and heir in model_elements and memory.seen == model_elements[heir].digest:
+                if is_standing and heir in model_elements and memory.seen == model_elements[heir].digest:
                     event = "same"
                 found.append(placed_elsewhere(event, heir, memory, reason=reason))
-            elif memory.state is TaskState.ASKS or (no_more and stands and memory.element in standing):
+            elif memory.state is TaskState.ASKS or (no_more and is_standing and memory.element in standing):
                 continue
-            elif stands and task in model_elements and memory.seen == model_elements[task].digest:
+            elif is_standing and task in model_elements and memory.seen == model_elements[task].digest:
                 continue
-            elif stands and no_more and memory.seen == NOT_IN_MODEL and (memory.name, memory.ifc_class) not in called:
+            elif (
+                is_standing
+                and no_more
+                and memory.seen == NOT_IN_MODEL
+                and (memory.name, memory.ifc_class) not in called
+            ):
                 continue
-            elif self.model != model or (no_more and not stands):
+            elif self.model != model or (no_more and not is_standing):
                 # what is on its way out stands; only then can it be asked about
                 times = 2 if memory.state is TaskState.RETREATING else 1
                 reason = "the model was changed"
@@ -243,8 +248,8 @@ class Ledger:
             self.states = replay(self.path, after)
             if self._file.lines == 0:
                 self.add(Entry(OPENED, model=model, cell=cell, robot=robot))
-            if self._file.mended:
-                self.add(Entry(MENDED, reason=f"{self._file.mended} bytes of a line without its end were cut off"))
+            if self._file.cut_off:
+                self.add(Entry(MENDED, reason=f"{self._file.cut_off} bytes of a line without its end were cut off"))
             for entry in self.states.handed_over(model_elements):
                 self.add(entry)
             for entry in self.states.doubts(model, placing, standing, model_elements):

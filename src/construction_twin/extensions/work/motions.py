@@ -17,7 +17,7 @@ import numpy as np
 from construction_twin.core.clock import Clock
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
-from construction_twin.extensions.work.contacts import Shapes, difference
+from construction_twin.extensions.work.contacts import ShapeDistances, change_between
 from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.extensions.work.process import REACH, Recipe, Recipes, TaskMotions, WorkJob, process_of
 from construction_twin.kinematics.chain import Pose
@@ -83,7 +83,7 @@ class Search:
     budget: float
     clock: Clock
     build_world: Callable[[Scene], CollisionWorld]
-    shapes: Shapes = field(repr=False)
+    shapes: ShapeDistances = field(repr=False)
     _worlds: dict[str, CollisionWorld] = field(default_factory=dict, repr=False)
 
     @property
@@ -147,7 +147,7 @@ class Search:
             samples = self._checked(trajectory, world)
         except (PlanningError, KinematicsError) as error:
             raise AttemptFailed(stage, str(error)) from error
-        touching = world.of_touching()
+        touching = world.touching_world()
         found = None if touching is None else touching.clearance_of(samples)[0]
         if found is not None and found.distance < -recipe.penetration:
             one, other = found.between
@@ -205,7 +205,7 @@ class PlanBuilder:
             samples = trajectory.sample_many(cycle_times(trajectory))[0]
             clearance = self._search.world(scene).clearance_of(samples)[0].distance
         self._clearance = min(self._clearance, clearance)
-        self._segments.append(WorkSegment(name, trajectory, engaged, requires, switches, difference(scene, after)))
+        self._segments.append(WorkSegment(name, trajectory, engaged, requires, switches, change_between(scene, after)))
         self._scenes.append(after)
 
     def plan(self, method: str, tool0_T_element: Pose | None = None) -> TaskMotions:
@@ -247,7 +247,7 @@ class TaskPlanner:
         self._settings = settings
         free = settings.model_copy(update={"planning_budget": min(settings.planning_budget, FREE_BUDGET)})
         self._planner = Planner(robot, solver, free, clock)
-        self._shapes = Shapes()
+        self._shapes = ShapeDistances()
         self._world: CollisionWorld | None = None
 
     def plan(self, job: WorkJob, start: JointValues, scene: Scene, held: Pose | None = None) -> TaskMotions:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from construction_twin.core.reports import EngagementReport, ExecutionReport, ToolReport
-from construction_twin.review.record import Fate, read_fate
+from construction_twin.review.record import PlanRecord, read_plan_record
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.tool import Tool
 from construction_twin.scene.objects import Scene
@@ -176,7 +176,7 @@ class Received:
         """Return the verdict on a plan; None: none was received."""
         return next((one for one in self._verdicts if one.plan_id == plan_id), None)
 
-    def fate(self, plan_id: str, offer: str) -> Fate:
+    def fate(self, plan_id: str, offer: str) -> PlanRecord:
         """Return what became of a plan, from the topics, else from the executor's record.
 
         Args:
@@ -185,9 +185,9 @@ class Received:
         plan = self.plan.plan if self.plan is not None else None
         if plan is not None and (plan.id == plan_id or (offer and offer in plan.source)):
             if self.verdict(plan.id) is None and self._publishers("plan"):
-                return Fate(plan.id, False, under_review=True)
+                return PlanRecord(plan.id, False, under_review=True)
             plan_id = plan.id
-        return read_fate(self._review_file, plan_id, offer)
+        return read_plan_record(self._review_file, plan_id, offer)
 
     def forget_orphaned_plan(self, plan_id: str) -> bool:
         """Forget a plan under review whose planner and executor have gone; return whether it was one."""

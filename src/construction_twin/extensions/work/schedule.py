@@ -210,14 +210,14 @@ class _Reading:
                 jobs.append(Job(own, own, f"Take down {element.name or element.id}", element.id, (), ()))
         for job in jobs:
             if job.id in self.removals:
-                said = (
+                remark = (
                     f"{job.element} is to be taken down ({job.name}): an obstacle until a person says that it is gone"
                 )
-                self.notes.append(f"{said} (`twin work removed {job.id}`).")
+                self.notes.append(f"{remark} (`twin work removed {job.id}`).")
         made = {job.element for job in jobs} | self._standing
         if left := [one for one in workpieces(self._model) if one not in made]:
-            said = f"No task makes {len(left)} of the elements: {first_few(left)}"
-            self.notes.append(f"{said}; the arm leaves them alone.")
+            remark = f"No task makes {len(left)} of the elements: {first_few(left)}"
+            self.notes.append(f"{remark}; the arm leaves them alone.")
         return tuple(jobs)
 
     def _with_distinct_names(self, jobs: list[Job]) -> list[Job]:
@@ -287,12 +287,12 @@ class _Reading:
             known = tuple(dict.fromkeys(one for one in given if one in self._elements))
             if self._children[identifier]:
                 if known:
-                    said = f"What task {identifier} makes is taken from the tasks that nest in it"
-                    self.notes.append(f"{said}: {first_few(known)}.")
+                    sentence = f"What task {identifier} makes is taken from the tasks that nest in it"
+                    self.notes.append(f"{sentence}: {first_few(known)}.")
                 continue
             if unknown := [one for one in task.products if one not in self._elements]:
-                said = f"Task {identifier} makes {first_few(unknown)}, which the arm cannot place"
-                self.notes.append(f"{said}: no such element was read.")
+                sentence = f"Task {identifier} makes {first_few(unknown)}, which the arm cannot place"
+                self.notes.append(f"{sentence}: no such element was read.")
             known = self._to_do(identifier, known)
             if not known:
                 if not task.milestone and task.kind == "makes" and not self._is_completed(identifier):
@@ -312,8 +312,8 @@ class _Reading:
             if element in maker:
                 self._sequences[identifier].append(Sequence(maker[element], identifier))
         if idle:
-            said = f"{len(idle)} {'tasks' if len(idle) > 1 else 'task'} without element: {first_few(idle)}"
-            self.notes.append(f"{said}; kept for the order, no time is waited for.")
+            sentence = f"{len(idle)} {'tasks' if len(idle) > 1 else 'task'} without element: {first_few(idle)}"
+            self.notes.append(f"{sentence}; kept for the order, no time is waited for.")
         return self._without_temporary(found, maker)
 
     def _to_do(self, identifier: str, known: tuple[str, ...]) -> tuple[str, ...]:
@@ -356,15 +356,15 @@ class _Reading:
                 if one in parts or (theirs & parts and (theirs < parts or (earlier and not theirs > parts))):
                     elsewhere |= {one, *theirs}
         wanted = [one for one in workpieces(model) if one in parts - elsewhere]
-        said = "nothing that is in it is left for this task"
+        sentence = "nothing that is in it is left for this task"
         if wanted:
             alone = replace(model, elements={one: model.elements[one] for one in wanted}, tasks={}, sequences=())
             wanted = [one for part in propose(alone).tasks.values() for one in part.products]
             self.guessed = self.guessed or len(wanted) > 1
             order = "one after the other, in an order from the geometry that a person must accept"
-            said = f"what is in it is placed {order}: {first_few(wanted)}"
+            sentence = f"what is in it is placed {order}: {first_few(wanted)}"
         assembly = f"Task {identifier} makes {model.elements[element].name or element}, which has no body of its own"
-        self.notes.append(f"{assembly}: {said}.")
+        self.notes.append(f"{assembly}: {sentence}.")
         return wanted
 
     def _without_temporary(
@@ -431,12 +431,12 @@ def _merge(waits: _Waits, more: _Waits, lag: float = 0.0) -> None:
 
 def _moments(jobs: tuple[Job, ...], model: BuildingModel) -> tuple[dict[str, float], str]:
     """Return the date of each job of a task, and a note; none where one is missing or they cannot be compared."""
-    given = {job.id: model.tasks[job.task].start for job in jobs if job.task in model.tasks}
-    dates = {one: datetime.fromisoformat(start) for one, start in given.items() if start}
-    if dates and (missing := len(given) - len(dates)):
-        return {}, f"Dates are not used for the order, because {missing} of {len(given)} jobs have none."
+    start_of = {job.id: model.tasks[job.task].start for job in jobs if job.task in model.tasks}
+    dates = {one: datetime.fromisoformat(start) for one, start in start_of.items() if start}
+    if dates and (missing := len(start_of) - len(dates)):
+        return {}, f"Dates are not used for the order, because {missing} of {len(start_of)} jobs have none."
     if len({date.tzinfo is None for date in dates.values()}) > 1:
         return {}, "Dates are not used for the order, because some have a time zone and others none."
-    if not dates and not model.sequences and len({job.task for job in jobs if job.id in given}) > 1:
+    if not dates and not model.sequences and len({job.task for job in jobs if job.id in start_of}) > 1:
         return {}, "The file says no order of its tasks, neither sequences nor dates: they come as they stand in it."
     return {one: date.timestamp() for one, date in dates.items()}, ""

@@ -109,7 +109,7 @@ class TaskBoard:
             return f"{self.built.element(held[0]).name} is in the grip: {self.title(held[0])} comes first"
         state = states.tasks[task].state
         if state is TaskState.WAITING:
-            return Sentence("{task} waits for {tasks}", task=self.title(task), tasks=self._missing(task))
+            return Sentence("{task} waits for {tasks}", task=self.title(task), tasks=self._missing_titles(task))
         if state not in PLANNABLE:
             return f"{self.title(task)} is {state.value}"
         if task in self.loaded.removals:
@@ -122,10 +122,10 @@ class TaskBoard:
         if element in self.loaded.unplannable:
             return f"{self.title(task)} cannot be planned: {self.loaded.unplannable[element]}; skip it when it stands"
         if self.loaded.stays(task):
-            return self._absence(task) or self._lag(task, now)
+            return self._absence(task) or self._lag_sentence(task, now)
         if state is TaskState.READY and element not in self.built.in_stock():
             return f"{self.built.element(task).name} is not delivered yet: its slot in the rack is taken by another element"
-        return self._lag(task, now)
+        return self._lag_sentence(task, now)
 
     def _absence(self, task: str) -> str:
         element, name = self.element_of(task), self.built.element(task).name
@@ -236,7 +236,7 @@ class TaskBoard:
         if task not in self.states.after:
             return "placed, and not in the model: an obstacle until a person says that it was taken away"
         if memory.state is TaskState.WAITING:
-            return f"waits for {self._missing(task)}"
+            return f"waits for {self._missing_titles(task)}"
         if memory.state in PLANNABLE:
             return self.failures.get(task) or self.obstacle(task, now) or "can be planned"
         if memory.state is TaskState.PLANNED:
@@ -280,10 +280,10 @@ class TaskBoard:
             return ("taken_away",)
         return (*((SAME,) if self.built.counterpart(task) else ()), *ANSWERS_OF_FORMER)
 
-    def _missing(self, task: str) -> str:
+    def _missing_titles(self, task: str) -> str:
         return ", ".join(map(self.title, self.states.missing(task)))
 
-    def _lag(self, task: str, now: int) -> str:
+    def _lag_sentence(self, task: str, now: int) -> str:
         tasks = self.states.tasks
         started = {name: memory.begun_ns / 1e9 for name, memory in tasks.items() if memory.begun_ns}
         finished = {name: memory.settled_ns / 1e9 for name, memory in tasks.items() if memory.state in SETTLED}

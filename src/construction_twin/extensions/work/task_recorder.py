@@ -25,7 +25,7 @@ from construction_twin.extensions.work.task_memory import (
     TaskState,
 )
 from construction_twin.kinematics.chain import Chain
-from construction_twin.review.record import Fate
+from construction_twin.review.record import PlanRecord
 from construction_twin.robot.segments import Segment
 from construction_twin.robot.tool import Tool
 from construction_twin.scene.scene_change import SceneChange
@@ -150,7 +150,7 @@ def _end(events: _Events, plan: PlanActions, report: ExecutionReport, grip: Grip
     events.add(TaskEvent.NOT_GRIPPED if surely_not else TaskEvent.STOPPED, reason)
 
 
-def events_after_restart(memory: TaskMemory, fate: Fate, grip: GripReading) -> list[Entry]:
+def events_after_restart(memory: TaskMemory, fate: PlanRecord, grip: GripReading) -> list[Entry]:
     """Return the events of a task whose plan the executor does not report."""
     events = _Events(memory, fate.plan or memory.plan)
     if memory.state is TaskState.PLANNED:

@@ -23,8 +23,7 @@ from construction_twin.extensions.work.process import (
 )
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_rotation
-from construction_twin.robot.tool import Place as FilePose
-from construction_twin.robot.tool import ToolFile, read_tool
+from construction_twin.robot.tool import FilePose, ToolFile, read_tool
 from construction_twin.robot.urdf import read_yaml
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_yaml import read_scene

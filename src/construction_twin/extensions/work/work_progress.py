@@ -230,9 +230,9 @@ class WorkProgress:
         received = self._received
         try:
             with self.lock:
-                problem = self.board.empty_grip_remedy(self._recorder.grip().commanded)
-            if problem:
-                raise WorkRefused(problem)
+                obstacle = self.board.empty_grip_remedy(self._recorder.grip().commanded)
+            if obstacle:
+                raise WorkRefused(obstacle)
             if received.engaged:
                 received.wait_for(lambda: not received.is_engagement_unknown, SCENE_TIME)
             return self._plan_way_back(asked) if received.engaged else self._plan_task(asked)
@@ -307,12 +307,12 @@ class WorkProgress:
 
     def _plan_way_back(self, asked: str) -> UnderReview:
         received = self._received
-        problem = self._restore_scene_for_way_back()
+        obstacle = self._restore_scene_for_way_back()
         before = received.plan.plan.id if received.plan is not None else ""
-        if problem:
-            raise WorkRefused(_only_way_back(problem))
+        if obstacle:
+            raise WorkRefused(_only_way_back(obstacle))
         try:
-            said = self._services.plan_way_back()
+            answer = self._services.plan_way_back()
         except ConstructionTwinError as error:
             raise WorkRefused(_only_way_back(str(error))) from error
         received.wait_for(lambda: received.plan is not None and received.plan.plan.id != before, SCENE_TIME)
@@ -320,7 +320,7 @@ class WorkProgress:
         if known is None or known.plan.id == before:
             raise WorkRefused(Sentence("the way back was planned, but is not published"))
         plan = known.plan
-        sentence = Sentence("the arm is engaged: the way back comes first; {answer}", answer=said)
+        sentence = Sentence("the arm is engaged: the way back comes first; {answer}", answer=answer)
         return UnderReview(sentence, asked, plan.id, plan.hash, plan.trajectory.duration)
 
     # -- people

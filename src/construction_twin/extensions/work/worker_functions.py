@@ -294,24 +294,26 @@ def _figures(values: np.ndarray) -> str:
 
 
 def standing_obstacles(
-    building: BuildingModel, made: Collection[str], work_cell: WorkCell, reach: float, folder: Path
+    building: BuildingModel, made_by_tasks: Collection[str], work_cell: WorkCell, reach: float, folder: Path
 ) -> tuple[dict[str, tuple[SceneObject, ...]], list[str]]:
     """Return what no task makes and the arm, or what it carries, can reach.
 
     Args:
-        made: Ids of the elements that tasks make; what they are parts of stands no more than they do.
+        made_by_tasks: Ids of the elements that tasks make; what they are parts of stands no more than they do.
 
     Returns:
         Convex pieces of each element in its own frame, ``<GlobalId>/<number>``, and a sentence for each for which its box stands.
     """
     # what exists stands, whatever new is a part of it
-    whole = {one for name in made for one in wholes(building.elements, name) if not building.elements[one].status}
-    left_out = {*made, *whole, *([work_cell.base(building).id] if work_cell.file.base_element else [])}
+    whole = {
+        one for name in made_by_tasks for one in wholes(building.elements, name) if not building.elements[one].status
+    }
+    left_out = {*made_by_tasks, *whole, *([work_cell.base(building).id] if work_cell.file.base_element else [])}
     base, most = work_cell.model_T_base(building), reach + _CARRIED
     others = [one for one in building.elements.values() if one.bodies and one.id not in left_out]
     shapes, failures = element_shapes([one for one in others if _distance(one.box, base) <= most], folder)
-    said = "cannot be divided into bodies, its box is the obstacle, and the arm does not place it"
-    notes = [f"{name} {said}: {failure}" for name, failure in failures.items()]
+    sentence = "cannot be divided into bodies, its box is the obstacle, and the arm does not place it"
+    notes = [f"{name} {sentence}: {failure}" for name, failure in failures.items()]
     boxes = {name: (box_of(building.element(name)),) for name in failures}
     return {name: shape.objects for name, shape in shapes.items()} | boxes, notes
 

@@ -14,7 +14,7 @@ import pydantic
 import rospy
 from rich.console import Console
 
-from construction_twin.core.errors import ConstructionTwinError, spoken
+from construction_twin.core.errors import ConstructionTwinError, command_message
 from construction_twin.core.files import check_writable
 from construction_twin.core.units import from_wire
 from construction_twin.evaluation.bag import read_recording
@@ -229,7 +229,7 @@ def main() -> int:
             rospy.init_node("experiment", disable_signals=True)
             report = Experiment(*checked_parameters(), console).run()
     except (ConstructionTwinError, rospy.ROSException, rospy.ServiceException, OSError) as error:
-        print(f"experiment: {spoken(error)}", file=sys.stderr, flush=True)
+        print(f"experiment: {command_message(error)}", file=sys.stderr, flush=True)
         return 1
     render_tables(report.summary, console)
     print_files(console, report.files)

@@ -18,7 +18,7 @@ import rospy
 import yaml
 
 from construction_twin.controller.makes import DEFAULT, MODULES, make_of
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, spoken
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, command_message
 from construction_twin.core.files import check_writable
 from construction_twin.core.share import share_file, share_folder
 from construction_twin.kinematics.chain import Chain
@@ -122,7 +122,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for line in _write_files(options, f"rosrun construction_twin new_arm {shlex.join(words)}"):
             print(line)
     except (ConstructionTwinError, OSError) as error:
-        print(f"new_arm: {spoken(error)}", file=sys.stderr)
+        print(f"new_arm: {command_message(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130

@@ -24,7 +24,7 @@ from rich.text import Text
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, spoken
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, command_message
 from construction_twin.core.extensions import node_modules
 from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
@@ -435,7 +435,7 @@ def main() -> int:
             settings, content = checked_parameters()
             verdict = run_scenario(settings, content, console)
     except (ConstructionTwinError, rospy.ROSException, OSError) as error:
-        print(f"scenario: {spoken(error)}", file=sys.stderr, flush=True)
+        print(f"scenario: {command_message(error)}", file=sys.stderr, flush=True)
         return 1
     print_verdict(verdict, console)
     console.print(f"Written: {Path(settings.results_dir).expanduser() / settings.name / VERDICT}", soft_wrap=True)

@@ -1,7 +1,7 @@
 """A record and its ROS message, field by field by their names: one converter for both directions.
 
 Times are whole ns, arrays of key and value are mappings; fields that only one of the two has keep their defaults. A message with a
-field `said` carries what another language needs of the sentences in it (`core.sentences.told`), as JSON.
+field `said` carries what another language needs of the sentences in it (`core.sentences.templates_of`), as JSON.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import genpy
 from diagnostic_msgs.msg import KeyValue
 from genpy.message import get_message_class  # type: ignore[attr-defined]
 
-from construction_twin.core.sentences import Sentence, heard, told
+from construction_twin.core.sentences import Sentence, sentences_of, templates_of
 from construction_twin.core.units import NANOSECONDS
 
 _Record = TypeVar("_Record")
@@ -36,7 +36,7 @@ def to_msg(record: Any, kind: type[genpy.Message]) -> Any:
 def with_sentences(message: Any, *parts: object) -> Any:
     """Return a message with what another language needs of the sentences in these parts, if it has a field for that."""
     if hasattr(message, "said"):
-        found = told(*parts)
+        found = templates_of(*parts)
         message.said = json.dumps(found) if found else ""
     return message
 
@@ -52,7 +52,7 @@ def _sentences_of(message: genpy.Message) -> Mapping[str, Sentence]:
 
 @functools.lru_cache(maxsize=64)
 def _parsed_sentences(said: str) -> Mapping[str, Sentence]:
-    return heard(json.loads(said)) if said else {}
+    return sentences_of(json.loads(said)) if said else {}
 
 
 def _record(kind: Any, message: Any, known: Mapping[str, Sentence]) -> Any:

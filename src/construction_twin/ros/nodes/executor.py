@@ -18,16 +18,16 @@ from construction_twin import msg
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, ReviewError
 from construction_twin.core.extensions import extension
 from construction_twin.core.files import check_writable
-from construction_twin.core.freshness import parse_moment, present
+from construction_twin.core.freshness import parse_moment, present_moment
 from construction_twin.core.reports import SessionRequest, SpeedChange, ToolReport
-from construction_twin.core.sentences import Sentence, both
+from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.core.speed_limit import SpeedLimit
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.execution.approval import AUTO_APPROVE, Approval, ConflictVerdicts, WithoutPerson
+from construction_twin.execution.approval import AUTO_APPROVE, Approval, AutoApproval, ConflictVerdicts
 from construction_twin.execution.engagement import read_engagement
 from construction_twin.execution.executor import Executor
 from construction_twin.execution.segment_run import NO_ARM
-from construction_twin.execution.upkeep import Disk, News, Permission
+from construction_twin.execution.upkeep import DiskWriter, ExecutionNews, Permission
 from construction_twin.monitor.states import SyncState
 from construction_twin.review.plan_under_review import EXECUTOR, REJECTED, Verdict
 from construction_twin.review.record import Responsibility, ReviewLog
@@ -89,15 +89,15 @@ class ExecutorNode:
             settings.speed_limit_deadline, settings.speed_limit_silent, settings.speed_limit_required
         )
         self._lock = threading.Lock()
-        self._approval = Approval(executor, self._log.append, self._lock, lambda: present())
+        self._approval = Approval(executor, self._log.append, self._lock, lambda: present_moment())
         self._approval.neighbour = ConflictVerdicts(settings.neighbour)
         self._approval.rehearsal = RehearsalCheck(settings.rehearsal == "require", tool_hash(settings.tool))
-        self._without_person = WithoutPerson(settings.auto_approve, settings.auto_approve_sources)
+        self._auto_approval = AutoApproval(settings.auto_approve, settings.auto_approve_sources)
         self._log_queue = DeferredLog()
         self.side_effects = executor.side_effects
         self._sync_at = 0
-        self._news = News(executor, self._approval, self._limit)
-        self._disk = Disk(executor, left, self._lock, lambda problem: rospy.logerr_throttle(5.0, "%s", problem))
+        self._news = ExecutionNews(executor, self._approval, self._limit)
+        self._disk = DiskWriter(executor, left, self._lock, lambda problem: rospy.logerr_throttle(5.0, "%s", problem))
         rospy.on_shutdown(self.write_records)
         rospy.loginfo("verdicts are recorded in %s (%d so far)", file, self._log.file.lines)
         if executor.engagement.engaged:
@@ -119,7 +119,7 @@ class ExecutorNode:
                     executor.on_sync(SyncState.STALE, False)
                 if stalled:
                     executor.stall(Sentence("this process was not run for {seconds:.3f} s", seconds=stalled / 1e9))
-                executor.limit.take(self._limit.update(now), self._limit.reason)
+                executor.limit.set_fraction(self._limit.update(now), self._limit.reason)
                 setpoint = executor.step(stamp, now)
             if setpoint is not None:
                 publish(stamp, setpoint)
@@ -141,7 +141,7 @@ class ExecutorNode:
         with self._lock:
             self._sync_at = time.monotonic_ns()
             self.executor.on_sync(state, message.agreed, message.policy, from_time(message.held_stamp))
-            self.executor.limit.trail(message.round_trip, message.servo_lag)
+            self.executor.limit.on_lag(message.round_trip, message.servo_lag)
 
     def on_limit(self, message: msg.SpeedLimitInForce) -> None:
         """Take the speed limit in force."""
@@ -229,7 +229,7 @@ class ExecutorNode:
             forecast = self.side_effects.run(
                 "the forecast of a stop", lambda: braking.forecast(lambda: time.sleep(PAUSE)).text(self._robot)
             )
-            sentence = both(sentence, forecast or Sentence("how far it goes on is not known"))
+            sentence = join_sentences(sentence, forecast or Sentence("how far it goes on is not known"))
         return self._log_answer("stop", sentence, rospy.logwarn)
 
     def on_stop_plan(self, request: srv.StopPlanRequest) -> str:
@@ -272,7 +272,7 @@ class ExecutorNode:
 
     def _now(self) -> int:
         # where the clock cannot be read, whatever comes was asked for before, and no screen can show a later moment
-        now = self.side_effects.run("the moment of an act", present)
+        now = self.side_effects.run("the moment of an act", present_moment)
         return sys.maxsize if now is None else now.at
 
     # -- in the background
@@ -284,11 +284,11 @@ class ExecutorNode:
         self.side_effects.run("the engagement", self.save_engagement)
         with self._lock:
             self.executor.under_review.scene_alive = self._node_io.connections("scene") > 0
-        self._approval.look_for_obstacle()
-        self._disk.write("an approval", self._approve_by_itself)
+        self._approval.update_obstacle()
+        self._disk.write("an approval", self._approve_automatically)
 
-    def _approve_by_itself(self) -> None:
-        verdict = self._approval.approve_by_itself(time.monotonic_ns(), self._without_person)
+    def _approve_automatically(self) -> None:
+        verdict = self._approval.approve_automatically(time.monotonic_ns(), self._auto_approval)
         if verdict is not None:
             self._publish_verdict(verdict)
 
@@ -301,7 +301,7 @@ class ExecutorNode:
 
     def save_engagement(self) -> None:
         """Save where the arm is about to be, or was left, and publish it; not for the path of the setpoints."""
-        if (engagement := self._disk.settle()) is not None:
+        if (engagement := self._disk.save_engagement()) is not None:
             self._publish("engagement", engagement_to_msg(*engagement))
 
     # -- reports
@@ -327,9 +327,9 @@ class ExecutorNode:
         """
         executor = self.executor
         with self._lock:
-            run = self.side_effects.run if executor.take_act() else _run_unguarded
-            events, orders = executor.take_events(), executor.take_orders()
-            news = run("the executor's state", self._news.take, lambda: (now_ns(), str(present())))
+            run = self.side_effects.run if executor.pop_act_flag() else _run_unguarded
+            events, orders = executor.pop_events(), executor.pop_orders()
+            news = run("the executor's state", self._news.pop_report, lambda: (now_ns(), str(present_moment())))
             report, lines = news or (None, ())
         for order in orders:
             self._publish("tool_command", order_to_msg(order))
@@ -356,7 +356,7 @@ class ExecutorNode:
             "records": log.lines,
             "records lost": log.lost,
         } | self.side_effects.status_fields()
-        if problem := self._disk.problem:
+        if problem := self._disk.fault:
             return Diagnosis(ERROR, problem, values)
         with self._lock:
             engaged = executor.engagement.sentence

@@ -89,7 +89,7 @@ class MockRsiNode:
             "session": controller.session,
             "ipoc": controller.stamp,
             "delay": controller.missed,
-            "controller": controller.status.report(),
+            "controller": controller.status.status_fields(),
             "start_pose_deg": to_wire(controller.start_pose, linear),
             "applied_deg": to_wire(controller.applied, linear),
             "correction_lower_deg": to_wire(controller.correction_lower, linear),

@@ -14,10 +14,10 @@ from std_srvs.srv import SetBool, Trigger
 
 from construction_twin.broker.start import ACCOUNTS
 from construction_twin.core.errors import ConfigurationError, PayloadError
-from construction_twin.core.freshness import present
-from construction_twin.core.records import SPACED, dumped
+from construction_twin.core.freshness import present_moment
+from construction_twin.core.records import SPACED, to_json
 from construction_twin.core.reports import SessionRequest
-from construction_twin.core.sentences import Sentence, both
+from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.bridge import PLC_HALTED, Bridge, JointStrings, PendingRequest
@@ -113,7 +113,7 @@ class MqttBridge:
         while not rospy.is_shutdown():
             self.poll()
             time.sleep(POLL)
-        ended = dumped(BridgeStatus("offline", "bridge stopped"), marks=SPACED)
+        ended = to_json(BridgeStatus("offline", "bridge stopped"), separators=SPACED)
         self._client.publish(self._topics.bridge_status, ended, 1, True)
         self._client.disconnect()
         self._client.loop_stop()
@@ -127,7 +127,7 @@ class MqttBridge:
         """Update the link, and publish what follows from it."""
         now = time.monotonic_ns()
         with self._lock:
-            control = self._bridge.poll(now, present())
+            control = self._bridge.poll(now, present_moment())
             values = self._supervisor.mirrors, self._bridge.waits_for
         if control is not None:
             self._send(control)
@@ -246,7 +246,7 @@ class MqttBridge:
     def ask(self, verb: str, person: str = "", moment: str | None = None) -> Outcome:
         """Ask for a session as `Bridge.ask` does, and wait for its end."""
         with self._lock:
-            asked = self._bridge.ask(verb, person, moment, time.monotonic_ns(), present())
+            asked = self._bridge.ask(verb, person, moment, time.monotonic_ns(), present_moment())
         request = SessionRequest(verb, person, asked.lifts, rospy.Time.now().to_nsec())
         self._publishers["session_request"].publish(to_msg(request, SessionRequestMessage))
         self._log.add(rospy.loginfo, "%s asked for by %s: %s", verb, person or "a service", asked.lifts)
@@ -286,7 +286,7 @@ class MqttBridge:
         with self._lock:
             sentence, asked = self._bridge.mirror(request.data, time.monotonic_ns())
         armed, why = self._wait(asked) if asked is not None else (True, "")
-        return sentence if armed else both(sentence, why)
+        return sentence if armed else join_sentences(sentence, why)
 
     # -- reports
 

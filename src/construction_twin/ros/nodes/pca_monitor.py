@@ -15,7 +15,7 @@ import rospy
 from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError, ExpiredError, PayloadError
 from construction_twin.core.files import check_writable
-from construction_twin.core.freshness import TOO_OLD, present
+from construction_twin.core.freshness import TOO_OLD, present_moment
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.reports import HoldReport, SpeedChange
 from construction_twin.core.sentences import Sentence
@@ -97,10 +97,10 @@ class SpeedLimitService:
         fraction, _, name = node_io.parameters[PROGRAM].partition(" ")
         if name:
             # a process before this one has heard it: it is silent until it is heard again
-            program.hear(float(fraction), name, time.monotonic_ns() - round(2e9 * deadline) - 1)
+            program.record(float(fraction), name, time.monotonic_ns() - round(2e9 * deadline) - 1)
         self._saved_program = SavedParameter(node_io.parameters[PROGRAM], node_io.parameter_writer(PROGRAM), PROGRAM)
         people, problem = read_people(path) if path else (NOBODY, "")
-        self._limits = SpeedLimits(program, people, present(), problem)
+        self._limits = SpeedLimits(program, people, present_moment(), problem)
         # what the file holds, and a lock that is held while the disk is waited for
         self._path, self._saved_people, self._file_problem, self._file_lock = path, people, "", threading.Lock()
         self._in_force, self._changes = (node_io.publishers[name] for name in ("speed_limit_in_force", "speed_change"))
@@ -123,11 +123,11 @@ class SpeedLimitService:
         try:
             if request.limit > limits.people.limit:
                 with self._file_lock:
-                    self._write(limits.requested_change(*given, present(), now_ns()))
+                    self._write(limits.requested_change(*given, present_moment(), now_ns()))
                     if self._file_problem:
                         raise PayloadError("file", f"the speed limit of people is not raised: {self._file_problem}")
             with self._lock:
-                before, sentence = limits.people, limits.set(*given, present(), now_ns())
+                before, sentence = limits.people, limits.set(*given, present_moment(), now_ns())
                 self._publish()
                 if limits.people is not before:
                     self._changes.publish(to_msg(limits.people, msg.SpeedChange))
@@ -231,8 +231,8 @@ class PcaMonitorNode:
         """Write the transitions to their logs, in a thread of its own: a disk that hangs must not silence `sync`."""
         self._log_queue.flush()
         self._transitions.flush()
-        if self._transitions.problem:
-            rospy.logerr_throttle(5.0, "%s", self._transitions.problem)
+        if self._transitions.fault:
+            rospy.logerr_throttle(5.0, "%s", self._transitions.fault)
 
     def on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
         """Take the twin's pose [rad] with its stamp [ns]."""
@@ -248,7 +248,7 @@ class PcaMonitorNode:
         with self._lock:
             self._gate.on_physical(q, command_stamp, self._received_at, received, seq)
             self._collect_changes()
-            servos = self._gate.watch_of_servos
+            servos = self._gate.servo_watch
             expected = servos.expected if servos is not None else ()
         if self._changes:
             self._publish(now)
@@ -296,7 +296,7 @@ class PcaMonitorNode:
         """Collect the gate's transitions, and ask for a plan beside the stream; under the lock, before a change can be heard."""
         if not self._gate.transitions:
             return
-        changes, replan = self._monitor.take_transitions()
+        changes, replan = self._monitor.pop_transitions()
         if replan is not None:
             threading.Thread(target=self._request_plan, args=(replan,), daemon=True).start()
         # the gate's clock is its own
@@ -335,7 +335,7 @@ class PcaMonitorNode:
         # the executor waits for `sync`, and no node for the rest
         with self._syncing:
             with self._lock:
-                report, cause = self._monitor.sync(now), self._gate.cause
+                report, cause = self._monitor.pop_sync_report(now), self._gate.cause
             if report is not None:
                 self._publishers["sync"].publish(to_msg(replace(report, stamp=now_ns()), msg.Sync))
                 if (cause,) != self._hold:
@@ -369,7 +369,7 @@ class PcaMonitorNode:
 
     def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
-        gate, speed, problem = self._gate, self.speed.diagnose(), self._transitions.problem or self._saved_stop.fault
+        gate, speed, problem = self._gate, self.speed.diagnose(), self._transitions.fault or self._saved_stop.fault
         level = ERROR if gate.state in _SERIOUS else OK if gate.state is SyncState.IN_SYNC else WARN
         limited = speed.sentence if speed.level != OK else ""
         sentence = "; ".join(filter(None, (f"{gate.state.name}: {gate.reason}", problem, limited)))

@@ -15,10 +15,10 @@ from trajectory_msgs.msg import JointTrajectory
 
 from construction_twin import msg, srv
 from construction_twin.core.extensions import extension
-from construction_twin.core.freshness import parse_moment, present
+from construction_twin.core.freshness import parse_moment, present_moment
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.execution.engagement import scene_problem
+from construction_twin.execution.engagement import scene_obstacle
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.pipeline import PlanningPipeline
@@ -69,7 +69,7 @@ class EngagedError(PlanningError):
 
 def plan_request(request, source: str = "request") -> PlanRequest:
     """Return the request behind any of the services'; PlanningError where it was asked for after it came, or on another clock."""
-    arrived = present()
+    arrived = present_moment()
     asked = parse_moment(request.asked) if getattr(request, "asked", "") else arrived
     if asked.origin != arrived.origin or asked.at > arrived.at:
         raise PlanningError(
@@ -224,7 +224,7 @@ class PlannerNode:
 
     def on_trajectory(self, message: JointTrajectory) -> None:
         """Plan a motion from elsewhere; what becomes of it stands in `plan_outcome`."""
-        asked = PlanRequest(asked=present(), source=f"joint_trajectory from {caller_of(message)}")
+        asked = PlanRequest(asked=present_moment(), source=f"joint_trajectory from {caller_of(message)}")
         self._through(asked, lambda: trajectory_waypoints(message, self._robot))
 
     def _through(self, asked: PlanRequest, read: Callable[[], Waypoints], retime: bool = False) -> Outcome:
@@ -237,7 +237,7 @@ class PlannerNode:
 
     def on_plan_work(self, request: srv.PlanWorkRequest) -> Outcome:
         """Plan the segments of a task as one."""
-        asked = PlanRequest(asked=present(), source=request.source or f"task {request.task}")
+        asked = PlanRequest(asked=present_moment(), source=request.source or f"task {request.task}")
         changes: list[SceneChange] = []
 
         def read() -> Callable[[], Plan]:
@@ -254,7 +254,7 @@ class PlannerNode:
         """Plan the way back out of an engaged segment."""
         left = self._engagement
         source = f"way back out of {left.segment!r}: {left.reason}" if left is not None else "way back"
-        asked = PlanRequest(asked=present(), source=source)
+        asked = PlanRequest(asked=present_moment(), source=source)
 
         def read() -> Callable[[], Plan]:
             if left is None:
@@ -268,7 +268,7 @@ class PlannerNode:
             def plan() -> Plan:
                 way_back = self._pipeline.way_back(self._present_pose(), left.task, path, requires, asked)
                 if way_back.scene not in left.scenes:
-                    problem = scene_problem(way_back.scene, left.scenes)
+                    problem = scene_obstacle(way_back.scene, left.scenes)
                     raise PlanningError(Sentence("there is no way back now: {problem}", problem=problem))
                 return way_back
 

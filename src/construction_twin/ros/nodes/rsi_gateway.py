@@ -30,7 +30,7 @@ def stop_file(arm: str, config: Path, robot: str) -> Path:
     path = config.with_suffix(".stopped") if arm in (NEW_MOCK, MOCK) else config.with_name(f"{robot}.stopped")
     stops = StopFile(path)
     if arm == NEW_MOCK:
-        stops.keep("")
+        stops.save("")
     stops.close()
     return path
 

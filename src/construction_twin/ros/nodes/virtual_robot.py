@@ -96,7 +96,7 @@ class VirtualRobotNode:
         """Simulate one cycle, and publish its poses with a stamp [ns] if they are to be told; under the lock."""
         if published and self._gazebo is not None:
             # before it can be answered
-            self._gazebo.told(stamp)
+            self._gazebo.on_published(stamp)
         if published and self._commanded is not None:
             # first: who decides what is commanded next waits for no simulation
             self._commanded.publish(stamp, commanded)
@@ -116,7 +116,7 @@ class VirtualRobotNode:
         if gazebo is None:
             return
         with self._lock:
-            if gazebo.answer(stamp):
+            if gazebo.on_simulated_pose(stamp):
                 self._twin.publish(stamp, q)
                 return
         self._diagnostics.refuse("answer", "a simulated pose with the stamp of no command, or of one answered before")
@@ -151,7 +151,7 @@ class VirtualRobotNode:
                 follows = self._robot.follow(stamp, q) and self._clock.on_command(stamp, self._cycles.reach(stamp))
                 if follows and self._robot.pose is not None:
                     self._advance(stamp, self._robot.pose, True)
-            elif self._robot.take_over(q):
+            elif self._robot.assume_pose(q):
                 rospy.loginfo("took over the physical arm's pose")
                 if self._leads:
                     self._robot.begin_mirror(self._limits)
@@ -191,15 +191,15 @@ class VirtualRobotNode:
             return Diagnosis(WARN, "waiting for the physical arm's pose")
         said = "following the physical arm" if self._robot.mirrors else "executing"
         if self._gazebo is not None:
-            problem = self._backend.problem
-            return Diagnosis(WARN if problem else OK, problem or said)
+            fault = self._backend.fault
+            return Diagnosis(WARN if fault else OK, fault or said)
         if self._simulated is None:
             return Diagnosis(OK, said)
         contacts = ", ".join(f"{first} + {second}" for first, second in self._backend.contacts)
         values = {"simulated scene": self._simulated.scene, "contacts": contacts or "none"}
         touches = contacts and f"the simulated arm touches: {contacts}"
-        problem = self._simulated.scene_fault or self._backend.problem or touches
-        return Diagnosis(WARN, problem, values) if problem else Diagnosis(OK, said, values)
+        fault = self._simulated.scene_fault or self._backend.fault or touches
+        return Diagnosis(WARN, fault, values) if fault else Diagnosis(OK, said, values)
 
 
 INTERFACE = shell.Interface(

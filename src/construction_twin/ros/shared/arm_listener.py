@@ -194,14 +194,14 @@ class OtherArm:
                 problem = Sentence("what it carries cannot be used: {problem}", problem=str(error))
                 raise NeighbourUnknownError(name, problem) from error
             self._rows = np.empty(0) if plan is None else plan_rows(plan)[1]
-            self._path = () if plan is None else self._shape.along(self._rows)
+            self._path = () if plan is None else self._shape.space_along(self._rows)
             self._known = known
         try:
             ends = [stream.pose(OTHER_POSE_AGE) for stream in self._poses]
         except (PoseUnknownError, PayloadError) as error:
             raise NeighbourUnknownError(name, str(error)) from error
         if claim is None:
-            return OccupiedSpace(None, self._shape.between(ends[0], ends[-1]))
+            return OccupiedSpace(None, self._shape.space_between(ends[0], ends[-1]))
         away = max(float(np.abs(self._rows - end).max(axis=1).min()) for end in ends)
         if away > ON_PATH:
             beside = Sentence("a joint is {away:.3f} beside the path of plan {plan}", away=away, plan=claim.plan_id)

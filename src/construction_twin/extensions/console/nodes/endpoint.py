@@ -22,7 +22,7 @@ import rospy
 from paho.mqtt.client import MQTTMessage
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.freshness import TOO_OLD, present, staleness
+from construction_twin.core.freshness import TOO_OLD, present_moment, staleness
 from construction_twin.core.rate_limit import Pace, SenderLimits
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.side_effects import SideEffects
@@ -172,7 +172,7 @@ class IncomingRequest:
 
     def __init__(self, endpoint: Endpoint, account: str, payload: bytes, retained: bool):
         self._endpoint, self._connection, self.kind = endpoint, endpoint.connection, endpoint.kind
-        self.account, self._payload, self._retained, self.arrived = account, payload, retained, present()
+        self.account, self._payload, self._retained, self.arrived = account, payload, retained, present_moment()
         self._document: dict[str, Any] | None = None
         self.asked: Any = None
 
@@ -197,7 +197,7 @@ class IncomingRequest:
         """Do it, and answer; return the answer, empty where there is none."""
         refused = None
         try:
-            if self.kind.expires and (problem := staleness(self.asked.moment, present())):
+            if self.kind.expires and (problem := staleness(self.asked.moment, present_moment())):
                 raise PayloadError(TOO_OLD, Sentence("the request is {problem}", problem=problem))
             outcome = self._endpoint.act(self.asked, self)
         except ServiceSilentError as error:
@@ -216,7 +216,7 @@ class IncomingRequest:
 
     def refuse_unread(self, error: PayloadError) -> None:
         """Answer that it cannot be read, or is not, at a pace, and count it."""
-        if self._endpoint.malformed.take(self.account, _now_ns()):
+        if self._endpoint.malformed.admit(self.account, _now_ns()):
             self._answer(Outcome(False, str(error), error.reason == TOO_OLD))
         else:
             self.count("not answered")
@@ -279,7 +279,7 @@ class NewestQueue:
 
     def admits(self, request: IncomingRequest) -> bool:
         """Return whether a request is worth reading; what is not was counted."""
-        fits = self._limits.take(request.account, _now_ns())
+        fits = self._limits.admit(request.account, _now_ns())
         if not fits:
             name = request.kind.name
             request.count_refusal(f"{name}_rate", f"{name} too often from {request.account}: {self._pace}")
@@ -333,7 +333,7 @@ class RequestQueue:
         """Return whether a request is worth reading; what is not was answered: one that came before as it was then."""
         if self._repeat_window and self._is_repeated(request):
             return False
-        if self._limits is None or not (wait := self._limits.wait(request.account, _now_ns())):
+        if self._limits is None or not (wait := self._limits.waiting_time(request.account, _now_ns())):
             return True
         assert self._pace is not None  # there are limits
         # rounded up: who tries again then is not too early
@@ -355,7 +355,7 @@ class RequestQueue:
             request.refuse("busy", f"{self._most} requests are waiting already; try again")
             return
         if self._limits is not None:
-            self._limits.take(request.account, now)
+            self._limits.admit(request.account, now)
 
     def run(self, patience: float = 0.0) -> None:
         """Carry out all that wait; wait so long [s] for the first one."""

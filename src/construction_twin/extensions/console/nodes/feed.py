@@ -17,8 +17,8 @@ from typing import Generic, TypeVar
 from genpy import Message
 
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
-from construction_twin.core.freshness import present
-from construction_twin.core.records import SPACED, dumped
+from construction_twin.core.freshness import present_moment
+from construction_twin.core.records import SPACED, to_json
 from construction_twin.core.reports import (
     ExecutionReport,
     HoldReport,
@@ -237,12 +237,12 @@ class ConsoleFeed:
             self._connection.refuse("scene", str(error))
             return
         self._scene = scene
-        self._publish_retained(self._topics.scene, dumped(scene_view(scene, self._base_link)))
+        self._publish_retained(self._topics.scene, to_json(scene_view(scene, self._base_link)))
 
     def on_tasks(self, message: WorkTasks) -> None:
         """Tell the tasks."""
         self._work = from_msg(WorkReport, message)
-        self._publish_retained(self._topics.work_tasks, dumped(self._work, said=True))
+        self._publish_retained(self._topics.work_tasks, to_json(self._work, translatable=True))
 
     # -- to MQTT
 
@@ -293,7 +293,7 @@ class ConsoleFeed:
 
     def _view(self) -> bytes:
         # before anything is looked at: whoever repeats it has seen nothing newer
-        moment, inputs = present(), self.view_inputs()
+        moment, inputs = present_moment(), self.view_inputs()
         self._had_twin_pose, self._had_arm_pose = (
             self._had_twin_pose or inputs.twin is not None,
             self._had_arm_pose or inputs.arm is not None,
@@ -331,7 +331,7 @@ class ConsoleFeed:
         self._updated_at = now
         lines = self._lines(self._link.fresh(LINK_AGE), self._sync.fresh(SYNC_AGE), self._present_execution())
         self.messages.on_lines(lines)
-        payload = dumped(lines, marks=SPACED)
+        payload = to_json(lines, separators=SPACED)
         if payload == self._published and now - self._published_at < REPEAT:
             return
         self._published, self._published_at = payload, now

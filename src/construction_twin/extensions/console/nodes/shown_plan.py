@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.records import SPACED, dumped
+from construction_twin.core.records import SPACED, to_json
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.extensions.console.nodes.endpoint import Connection
 from construction_twin.extensions.console.remote_review import (
@@ -82,7 +82,7 @@ class ShownPlan:
             return
         with self._lock:
             self.rehearsal = report
-            self._rehearsals.on_plan(report.plan_id, dumped(report, marks=SPACED, said=True))
+            self._rehearsals.on_plan(report.plan_id, to_json(report, separators=SPACED, translatable=True))
         self.publish_rehearsal()
 
     def on_caller(self, message: PlanCaller) -> None:

@@ -270,12 +270,12 @@ class RehearsalNode:
         return Diagnosis(level, f"plan {last.plan_id}: {word}: {first_reason(last.reasons)}", values)
 
 
-def _store_newest(kept: dict, key: str, value: object) -> None:
+def _store_newest(stored: dict, key: str, value: object) -> None:
     """Put a value last, and forget the oldest."""
-    kept.pop(key, None)
-    kept[key] = value
-    while len(kept) > _KEPT:
-        del kept[next(iter(kept))]
+    stored.pop(key, None)
+    stored[key] = value
+    while len(stored) > _KEPT:
+        del stored[next(iter(stored))]
 
 
 def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:

@@ -174,7 +174,7 @@ def trajectory_goal(goal, goal_id: str, client: str, robot: RobotModel, defaults
     return TrajectoryGoal(
         goal_id,
         client,
-        defaults.goal.asked(robot, goal.goal_tolerance),
+        defaults.goal.overridden_by(robot, goal.goal_tolerance),
         seconds or defaults.time_tolerance,
         (goal.trajectory.joint_names, goal.trajectory.points),
     )

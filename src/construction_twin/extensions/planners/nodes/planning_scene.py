@@ -86,13 +86,15 @@ def planning_scene_message(
         removed.object.id, removed.object.operation = name, moveit.CollisionObject.REMOVE
         attached.append(removed)
     for item in scene_of_planner.objects:
-        thing = _object(types, item, stamp)
+        collision_object = _object(types, item, stamp)
         if item.carried:
             attached.append(
-                moveit.AttachedCollisionObject(link_name=item.frame, object=thing, touch_links=list(item.touch_links))
+                moveit.AttachedCollisionObject(
+                    link_name=item.frame, object=collision_object, touch_links=list(item.touch_links)
+                )
             )
         else:
-            message.world.collision_objects.append(thing)
+            message.world.collision_objects.append(collision_object)
     message.world.collision_objects += _removed(types, gone)
     matrix = message.allowed_collision_matrix
     matrix.entry_names = list(scene_of_planner.names)
@@ -108,17 +110,17 @@ def _removed(types: MoveitTypes, names: Iterable[str]) -> list:
 
 
 def _object(types: MoveitTypes, item: PlannerObject, stamp: genpy.Time):
-    thing = types.moveit.CollisionObject(id=item.name, operation=types.moveit.CollisionObject.ADD)
-    thing.header.frame_id, thing.header.stamp = item.frame, stamp
+    collision_object = types.moveit.CollisionObject(id=item.name, operation=types.moveit.CollisionObject.ADD)
+    collision_object.header.frame_id, collision_object.header.stamp = item.frame, stamp
     pose = PoseMsg(Point(*item.pose.position), Quaternion(*rotation_to_quaternion(item.pose.rotation)))
     # of versions with a pose of the object's own, MoveIt takes the only shape's when that is not set
-    if hasattr(thing, "pose"):
-        thing.pose.orientation.w = 1.0
+    if hasattr(collision_object, "pose"):
+        collision_object.pose.orientation.w = 1.0
     if item.shape == "mesh":
-        thing.meshes, thing.mesh_poses = [_mesh(types, item)], [pose]
+        collision_object.meshes, collision_object.mesh_poses = [_mesh(types, item)], [pose]
     else:
-        thing.primitives, thing.primitive_poses = [_primitive(types, item)], [pose]
-    return thing
+        collision_object.primitives, collision_object.primitive_poses = [_primitive(types, item)], [pose]
+    return collision_object
 
 
 def _mesh(types: MoveitTypes, item: PlannerObject):

@@ -17,7 +17,7 @@ from rich.table import Table
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused
 from construction_twin.core.files import check_writable
-from construction_twin.core.records import document, dumped
+from construction_twin.core.records import json_value, to_json
 from construction_twin.core.reports import TaskReport, WorkReport
 from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.msg import Execution, Link, Sync, ToolState, WorkTask, WorkTasks
@@ -88,24 +88,24 @@ class Builder:
         )
         wanted = [task.id for task in self._work_tasks.tasks][: self._settings.most or None]
         self._efforts = {task: {"plans": 0, "planning_s": 0.0, "motion_s": 0.0} for task in wanted}
-        problem = ""
+        failure = ""
         try:
             for number, task in enumerate(wanted, start=1):
                 self._finish_task(task, f"{number} of {len(wanted)}")
         except (ConstructionTwinError, rospy.ROSException, rospy.ServiceException) as error:
-            problem = str(error)
+            failure = str(error)
         tasks = [task for task in from_msg(WorkReport, self._work_tasks).tasks if task.id in self._efforts]
         missing = [task.name for task in tasks if task.state != "done"]
-        if missing and not problem:
-            problem = f"{len(missing)} of {len(wanted)} tasks are not done: {', '.join(missing)}"
+        if missing and not failure:
+            failure = f"{len(missing)} of {len(wanted)} tasks are not done: {', '.join(missing)}"
         file = self._write(tasks)
-        if problem:
-            raise ConstructionTwinError(f"{problem}; see {file}")
+        if failure:
+            raise ConstructionTwinError(f"{failure}; see {file}")
         return file
 
     def _write(self, tasks: Collection[TaskReport]) -> Path:
         """Show what every task came to, and write it with what was decided; return the file."""
-        elements = [{**document(task), **self._efforts[task.id]} for task in tasks]
+        elements = [{**json_value(task), **self._efforts[task.id]} for task in tasks]
         done = sum(task.state == "done" for task in tasks)
         table = Table(*(name.replace("_", " ") for name in _SHOWN))
         for each in elements:
@@ -117,7 +117,7 @@ class Builder:
         directory.mkdir(parents=True)
         file = directory / "work.json"
         counts = {"tasks": len(tasks), "done": done}
-        file.write_bytes(dumped({**counts, "decisions": self._decisions, "elements": elements}))
+        file.write_bytes(to_json({**counts, "decisions": self._decisions, "elements": elements}))
         point_latest(results, directory)
         return file
 

@@ -119,31 +119,31 @@ class Doubts:
 
     def add(self, numbers: Collection[int], why: str) -> None:
         """Doubt every element that reaches an instance, or everything if none does, or if it says where something is."""
-        said = f"the reader of the file says of what it needs: {why}"
-        found = False
-        left, seen = list(numbers), set(numbers)
+        reason = f"the reader of the file says of what it needs: {why}"
+        reached = False
+        left, visited = list(numbers), set(numbers)
         while left:
             number = left.pop()
             if not self._has(number):
                 continue
             one = self._file.by_id(number)
             if one.is_a("IfcProject") or one.is_a("IfcObjectPlacement"):
-                found = False
+                reached = False
                 break
             if one.is_a("IfcProduct"):
-                self.shapes.setdefault(_host(one), said)
+                self.shapes.setdefault(_host(one), reason)
             elif one.is_a("IfcProcess") or one.is_a("IfcRelationship"):
                 products = self._products(one)
-                self.related |= {each: said for each in products if each not in self.related}
-                found = found or bool(products)
+                self.related |= {each: reason for each in products if each not in self.related}
+                reached = reached or bool(products)
                 continue
             elif not any(one.is_a(kind) for kind in _ASIDE_KINDS):
-                more = {each.id() for each in self._file.get_inverse(one)} - seen
-                seen |= more
+                more = {each.id() for each in self._file.get_inverse(one)} - visited
+                visited |= more
                 left += more
                 continue
-            found = True
-        if not found:
+            reached = True
+        if not reached:
             self.everything = self.everything or f"{ABOUT_ALL}: {why}"
 
     def _has(self, number: int) -> bool:

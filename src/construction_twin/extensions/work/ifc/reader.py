@@ -23,7 +23,7 @@ from construction_twin.extensions.work.building import Body, BuildingModel, Elem
 from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.doubts import ABOUT_ALL, Doubts, parse_log
 from construction_twin.extensions.work.ifc.geometry import NO_UNIT_CODES, Shape, body_of, bounds, shapes
-from construction_twin.extensions.work.ifc.notes import Misread, Notes, ReadingEntity, label
+from construction_twin.extensions.work.ifc.notes import MisreadError, Notes, ReadingEntity, label
 from construction_twin.extensions.work.ifc.properties import (
     read_mass,
     read_properties,
@@ -128,8 +128,8 @@ class _Reader:
                 shift = [conversion.Eastings, conversion.Northings, conversion.OrthogonalHeight]
                 turned = ", turned" * ((conversion.XAxisOrdinate or 0.0) != 0.0)
             shown = ", ".join(f"{value:.3f}" for value in shift)
-            said = f"The map conversion (eastings, northings, height {shown}{turned}) is left out"
-            self.notes.add(f"{said}: poses are the model's own")
+            sentence = f"The map conversion (eastings, northings, height {shown}{turned}) is left out"
+            self.notes.add(f"{sentence}: poses are the model's own")
         for context in self.file.by_type("IfcGeometricRepresentationContext", include_subtypes=False):
             with ReadingEntity(self.name, context):
                 system = context.WorldCoordinateSystem
@@ -139,23 +139,23 @@ class _Reader:
             if not np.allclose(matrix, np.eye(4), atol=1e-9):
                 shown = ", ".join(f"{value * self.units.length:.3f}" for value in matrix[:3, 3])
                 turned = ", turned" * (not np.allclose(matrix[:3, :3], np.eye(3), atol=1e-9))
-                said = f"The world coordinate system of the model's context ({shown} m{turned}) is left out"
-                self.notes.add(f"{said}: poses are those of the placements")
+                sentence = f"The world coordinate system of the model's context ({shown} m{turned}) is left out"
+                self.notes.add(f"{sentence}: poses are those of the placements")
 
     def elements(self) -> dict[str, Element]:
         """Read them, by their ids."""
         products = self._products()
         placements = Placements(self.name, self.units.length)
-        taken: set[str] = set()
+        used_ids: set[str] = set()
         matrices: dict[int, np.ndarray | None] = {}
         bodies: dict[int, _Entity] = {}
         for product in products:
             with ReadingEntity(self.name, product):
-                self.ids[product.id()] = unique_id(product, taken, self.notes)
-                taken.add(self.ids[product.id()])
+                self.ids[product.id()] = unique_id(product, used_ids, self.notes)
+                used_ids.add(self.ids[product.id()])
                 try:
                     matrices[product.id()] = placements.matrix(product.ObjectPlacement)
-                except Misread as error:
+                except MisreadError as error:
                     # it stands nobody knows where
                     matrices[product.id()] = None
                     self.doubts.everything = f"{ABOUT_ALL}: {error}"
@@ -172,14 +172,14 @@ class _Reader:
         }
         unit, notes = self.units.length, self.notes
         found = shapes(self.file, self.name, bodies, openings, unit, notes, self._record_kernel_log)
-        made = {shape.id: shape for shape in found}
-        for number, shape in made.items():
+        shape_of = {shape.id: shape for shape in found}
+        for number, shape in shape_of.items():
             if not shape.doubt and number in self.doubts.shapes:
-                made[number] = shape.doubted(self.doubts.shapes[number], bounds(bodies[number]) * self.units.length)
+                shape_of[number] = shape.doubted(self.doubts.shapes[number], bounds(bodies[number]) * self.units.length)
         elements = {}
         for product in products:
             with ReadingEntity(self.name, product):
-                element = self._element(product, matrices[product.id()], made.get(product.id()))
+                element = self._element(product, matrices[product.id()], shape_of.get(product.id()))
             if element is not None:
                 elements[element.id] = element
         if self.doubts.everything:
@@ -188,8 +188,8 @@ class _Reader:
             }
         for one, element in elements.items():
             if element.doubt:
-                said = f"THE BODY IS DOUBTFUL: {element.doubt}, the arm does not place it"
-                self.notes.add(said, element.name or one, one)
+                sentence = f"THE BODY IS DOUBTFUL: {element.doubt}, the arm does not place it"
+                self.notes.add(sentence, element.name or one, one)
         _hand_down_status(elements, self.notes)
         _leave_out_doubles(elements, self.notes)
         self.ids = {entity: element for entity, element in self.ids.items() if element in elements}
@@ -240,10 +240,10 @@ class _Reader:
         bodies: tuple[Body, ...] = ()
         if matrix is None:
             if shape is None or shape.model_T_shape is None:
-                said = "Placed on a grid or an alignment, without a body: left out"
-                self.notes.add(said, element_id)
+                sentence = "Placed on a grid or an alignment, without a body: left out"
+                self.notes.add(sentence, element_id)
                 if shape is not None:
-                    self.doubts.everything = f"{ABOUT_ALL}: {said}"
+                    self.doubts.everything = f"{ABOUT_ALL}: {sentence}"
                 return None
             matrix = shape.model_T_shape
             check_rigid(self.name, product, matrix)
@@ -256,8 +256,8 @@ class _Reader:
                 turn, shift = offset[:3, :3], offset[:3, 3]
                 bodies = tuple(Body(body.vertices @ turn.T + shift, body.triangles) for body in bodies)
             if product.ObjectPlacement is None:
-                said = "HAS A BODY AND NO PLACEMENT: where it is nobody says, taken at the model's origin"
-                self.notes.add(said, product.Name or element_id, element_id)
+                sentence = "HAS A BODY AND NO PLACEMENT: where it is nobody says, taken at the model's origin"
+                self.notes.add(sentence, product.Name or element_id, element_id)
         doubt = "" if shape is None else shape.doubt
         if not doubt and (unknown := self.doubts.shapes.get(product.id())):
             # it can have a body that nobody knows
@@ -368,7 +368,7 @@ def _open(contents: bytes, name: str) -> ifcopenshell.file:
             with ReadingEntity(name, "the file"):
                 file = ifcopenshell.open(f"/proc/self/fd/{copy}", format=".ifc")
                 count = len(file.types())
-        except Misread as error:
+        except MisreadError as error:
             why = next((entry.text for entry in parse_log(ifcopenshell.get_log())), error.found)
             raise BuildingError(name, "the file", why, "an IFC file (ISO 10303-21)") from error
     if count == 0:

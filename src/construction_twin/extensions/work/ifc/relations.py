@@ -34,12 +34,12 @@ class Relations:
     def within(self, group: _Entity) -> list[_Entity]:
         """Return what a group or a part of the site holds, what holds things itself replaced by these."""
         found: dict[int, _Entity] = {}
-        left, seen = [group], set()
+        left, visited = [group], set()
         while left:
             at = left.pop(0)
-            if at.id() in seen:
+            if at.id() in visited:
                 continue
-            seen.add(at.id())
+            visited.add(at.id())
             if at.id() in self.members:
                 left += self.members[at.id()]
             elif at is not group:

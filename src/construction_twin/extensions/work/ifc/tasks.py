@@ -106,16 +106,16 @@ def read_tasks(
     return reading.tasks, tuple(sequences)
 
 
-def unique_id(entity: _Entity, taken: Collection[str], notes: Notes) -> str:
+def unique_id(entity: _Entity, used_ids: Collection[str], notes: Notes) -> str:
     """Return an entity's GlobalId; where it has none, or one that is taken, its number in the file: ``#123``."""
-    given = entity.GlobalId
+    global_id = entity.GlobalId
     allowed = (
-        isinstance(given, str)
-        and 0 < len(given) <= 64
-        and all(c.isascii() and (c.isalnum() or c in "_$") for c in given)
+        isinstance(global_id, str)
+        and 0 < len(global_id) <= 64
+        and all(c.isascii() and (c.isalnum() or c in "_$") for c in global_id)
     )
-    if allowed and given not in taken:
-        return given
+    if allowed and global_id not in used_ids:
+        return global_id
     notes.add("Named by the number in the file, because the GlobalId is missing, wrong or another one's", label(entity))
     return f"#{entity.id()}"
 
@@ -150,15 +150,15 @@ class _Reading:
                 kinds = (getattr(schedule, name, None) for name in ("PredefinedType", "WorkControlType"))
                 schedules[schedule.id()] = (schedule.Name or "", next(filter(None, kinds), ""))
             by_schedule[0 if schedule is None else schedule.id()].append(entity)
-        kept = [key for key in by_schedule if schedules[key][1] not in _OTHER_SCHEDULES] or list(by_schedule)
-        for key in by_schedule.keys() - set(kept):
+        schedules_read = [key for key in by_schedule if schedules[key][1] not in _OTHER_SCHEDULES] or list(by_schedule)
+        for key in by_schedule.keys() - set(schedules_read):
             name, kind = schedules[key]
-            said = f"Schedules of the kind {kind}, left out with their tasks and orders because there is another"
-            self._notes.add(said, name)
-        if len(kept) > 1:
-            names = ", ".join(schedules[key][0] for key in kept)
-            self._notes.add(f"{len(kept)} schedules, whose tasks are all read: {names}")
-        return sorted((entity for key in kept for entity in by_schedule[key]), key=lambda entity: entity.id())
+            sentence = f"Schedules of the kind {kind}, left out with their tasks and orders because there is another"
+            self._notes.add(sentence, name)
+        if len(schedules_read) > 1:
+            names = ", ".join(schedules[key][0] for key in schedules_read)
+            self._notes.add(f"{len(schedules_read)} schedules, whose tasks are all read: {names}")
+        return sorted((entity for key in schedules_read for entity in by_schedule[key]), key=lambda entity: entity.id())
 
     def task(self, entity: _Entity) -> Task:
         """Return one."""
@@ -224,14 +224,16 @@ class _Reading:
 
         A task that names its recipe (`by_recipe`) is the arm's, whatever else its kind says than that it takes down.
         """
-        said = next(filter(None, map(_declared_kind, self._above(entity))), "")
-        shown = said if said and said == _declared_kind(entity) else f"{said} (said of what they nest in)"
-        if said in _TAKES_DOWN:
+        declared = next(filter(None, map(_declared_kind, self._above(entity))), "")
+        shown = (
+            declared if declared and declared == _declared_kind(entity) else f"{declared} (said of what they nest in)"
+        )
+        if declared in _TAKES_DOWN:
             note(f"Tasks of the kind {shown}: the arm takes nothing down, a person says when it is gone")
             return "takes_down"
         if by_recipe:
             return "makes"
-        if said and said not in _MAKES:
+        if declared and declared not in _MAKES:
             note(f"Tasks of the kind {shown}, which places nothing; kept for the order")
             return "other"
         own = _own_word(entity)
@@ -371,16 +373,16 @@ def _status_word(entity: _Entity) -> str:
 
 def _declared_kind(entity: _Entity) -> str:
     """Return the kind that a task or its type says, by the schema or in a word of it; empty: it says none."""
-    given = _predefined_kind(entity)
+    predefined = _predefined_kind(entity)
     own = _own_word(entity).upper()
-    return str(given) if given not in _OPEN else own if own in (*_MAKES, *_TAKES_DOWN, *_OTHER_KINDS) else ""
+    return str(predefined) if predefined not in _OPEN else own if own in (*_MAKES, *_TAKES_DOWN, *_OTHER_KINDS) else ""
 
 
 def _predefined_kind(entity: _Entity) -> str | None:
-    given = getattr(entity, "PredefinedType", None)
-    if given not in (None, "NOTDEFINED"):
-        return str(given)
-    return getattr(ifcopenshell.util.element.get_type(entity), "PredefinedType", None) or given
+    predefined = getattr(entity, "PredefinedType", None)
+    if predefined not in (None, "NOTDEFINED"):
+        return str(predefined)
+    return getattr(ifcopenshell.util.element.get_type(entity), "PredefinedType", None) or predefined
 
 
 def _own_word(entity: _Entity) -> str:

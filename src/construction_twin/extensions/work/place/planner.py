@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from construction_twin.core.sentences import Sentence
-from construction_twin.extensions.work.contacts import FALL, straight
+from construction_twin.extensions.work.contacts import FALL, straight_poses
 from construction_twin.extensions.work.convex_bodies import ElementPieces
 from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.extensions.work.motions import PAIRS, AttemptFailed, PlanBuilder, Search
@@ -42,10 +42,10 @@ def plan(search: Search) -> TaskMotions:
         AttemptFailed: The attempt that came furthest.
     """
     mass = mass_of(search.job, search.name, search.recipe, search.tool.tool)
-    return _whole(search, mass) if search.held is None else _rest(search, search.held)
+    return _whole_plan(search, mass) if search.held is None else _rest_of_plan(search, search.held)
 
 
-def _whole(search: Search, mass: float) -> TaskMotions:
+def _whole_plan(search: Search, mass: float) -> TaskMotions:
     job = search.job
     assert job.base_T_stock is not None
     try:
@@ -64,7 +64,7 @@ def _whole(search: Search, mass: float) -> TaskMotions:
         return _with_grip(search, grip, falls)
 
     try:
-        return _first(search, grips.grips, with_grip, lambda failed: failed.hopeless)
+        return _first_success(search, grips.grips, with_grip, lambda failed: failed.hopeless)
     except AttemptFailed as failed:
         if tried < len(grips.grips) and search.is_out_of_time and not failed.hopeless:
             failed.reason = Sentence(
@@ -77,7 +77,7 @@ def _whole(search: Search, mass: float) -> TaskMotions:
         raise
 
 
-def _rest(search: Search, tool0_T_element: Pose) -> TaskMotions:
+def _rest_of_plan(search: Search, tool0_T_element: Pose) -> TaskMotions:
     job, recipe = search.job, search.recipe
     if falls := _fall_reason(search):
         raise AttemptFailed(SET_DOWN, falls)
@@ -88,14 +88,14 @@ def _rest(search: Search, tool0_T_element: Pose) -> TaskMotions:
         at = flange_poses(search, grip, np.zeros(3), arrive)
         return _Attempt(search, grip, at, scenes(search, at)).plan_carried()
 
-    options = _options(recipe.place.arrive, recipe.place.lengths, job.base_T_goal)
-    return _first(search, options, arriving, method=grip.name)
+    options = _straight_ways(recipe.place.arrive, recipe.place.lengths, job.base_T_goal)
+    return _first_success(search, options, arriving, method=grip.name)
 
 
 _Tried = TypeVar("_Tried")
 
 
-def _first(
+def _first_success(
     search: Search,
     options: Iterable[_Tried],
     attempt: Callable[[_Tried], TaskMotions],
@@ -111,7 +111,7 @@ def _first(
             return attempt(option)
         except AttemptFailed as failed:
             failed.method = method or failed.method
-            furthest = _further(furthest, failed)
+            furthest = _furthest(furthest, failed)
             if ends(failed):
                 break
     assert furthest is not None
@@ -123,7 +123,7 @@ def _fall_reason(search: Search) -> str:
     job, recipe = search.job, search.recipe
     own = {item.name for item in job.bodies}
     others = [item for item in search.scene.objects if not item.link and item.name not in own]
-    if recipe.place.fastened or search.shapes.holder(job.bodies, job.base_T_goal, others, np.array(job.up)):
+    if recipe.place.fastened or search.shapes.support_below(job.bodies, job.base_T_goal, others, np.array(job.up)):
         return ""
     return Sentence(
         "nothing holds {element} when the tool lets go: nothing is under it within {gap:.0f} mm. If something else holds it "
@@ -148,11 +148,13 @@ def _with_grip(search: Search, grip: Grip, falls: str) -> TaskMotions:
         return _Attempt(search, grip, at, there).plan()
 
     options = itertools.product(
-        _options(recipe.stock.leave, recipe.stock.lengths, job.base_T_stock),
-        _options(recipe.place.arrive, recipe.place.lengths, job.base_T_goal),
+        _straight_ways(recipe.stock.leave, recipe.stock.lengths, job.base_T_stock),
+        _straight_ways(recipe.place.arrive, recipe.place.lengths, job.base_T_goal),
     )
     # another way of the element does not change where it is gripped
-    return _first(search, options, by, lambda failed: failed.stage == REACH and "gripping" in failed.reason, grip.name)
+    return _first_success(
+        search, options, by, lambda failed: failed.stage == REACH and "gripping" in failed.reason, grip.name
+    )
 
 
 def _check_reach(at: FlangePoses, search: Search) -> None:
@@ -186,7 +188,9 @@ def _check_bodies(search: Search, at: FlangePoses, there: Scenes) -> None:
             raise AttemptFailed(stage, said)
 
 
-def _options(directions: tuple[Direction, ...], lengths: tuple[float, ...], base_T_element: Pose) -> list[np.ndarray]:
+def _straight_ways(
+    directions: tuple[Direction, ...], lengths: tuple[float, ...], base_T_element: Pose
+) -> list[np.ndarray]:
     """Return straight ways in the base_link, shape (3,) each, the best first."""
     units = {"up": np.array([0.0, 0.0, 1.0])} | {name: base_T_element.rotation @ axis for name, axis in AXES.items()}
     ways_of = [
@@ -195,7 +199,7 @@ def _options(directions: tuple[Direction, ...], lengths: tuple[float, ...], base
     return [length * way for way in ways_of for length in lengths]
 
 
-def _further(one: AttemptFailed | None, other: AttemptFailed) -> AttemptFailed:
+def _furthest(one: AttemptFailed | None, other: AttemptFailed) -> AttemptFailed:
     """Return the attempt that came further."""
     return other if one is None or STAGES.index(other.stage) > STAGES.index(one.stage) else one
 
@@ -271,7 +275,7 @@ def scenes(search: Search, at: FlangePoses) -> Scenes:
     beside = [item for item in bare if item.name.removeprefix(TOOL) in grips.beside]
 
     def near(moving: Sequence[SceneObject], *ends: Pose) -> tuple[str, ...]:
-        places = [pose for start, end in zip(ends, ends[1:]) for pose in straight(start, end)]
+        places = [pose for start, end in zip(ends, ends[1:]) for pose in straight_poses(start, end)]
         return search.shapes.near(moving, places, supports, scene.padding) if moving else ()
 
     stock_tool, stock_held = near(beside, at.before, at.stock, at.lifted), near(held, at.stock, at.lifted)
@@ -309,15 +313,18 @@ _Computed = TypeVar("_Computed")
 
 
 def _computed_once(
-    made: dict[int, _Computed | AttemptFailed], number: int, make: Callable[[np.ndarray], _Computed], q: np.ndarray
+    computed: dict[int, _Computed | AttemptFailed],
+    number: int,
+    compute: Callable[[np.ndarray], _Computed],
+    q: np.ndarray,
 ) -> _Computed:
     """Return what was made of a joint solution at the first call, or raise why it could not be made."""
-    if number not in made:
+    if number not in computed:
         try:
-            made[number] = make(q)
+            computed[number] = compute(q)
         except AttemptFailed as failed:
-            made[number] = failed
-    found = made[number]
+            computed[number] = failed
+    found = computed[number]
     if isinstance(found, AttemptFailed):
         raise found
     return found
@@ -360,7 +367,7 @@ class _Attempt:
                 tried += 1
                 return self._joined(stock, goal)
             except AttemptFailed as failed:
-                furthest = _further(furthest, failed)
+                furthest = _furthest(furthest, failed)
         assert furthest is not None
         raise furthest
 
@@ -374,7 +381,7 @@ class _Attempt:
             carry = search.free_motion(search.start, goal.above, scale, there.carry, CARRY)
             return self._carried(PlanBuilder(search, search.scene), carry, goal)
 
-        return _first(search, search.nearest(aboves)[:PAIRS], above)
+        return _first_success(search, search.nearest(aboves)[:PAIRS], above)
 
     def _combinations(self, befores: list[np.ndarray], aboves: list[np.ndarray]) -> Iterator[tuple[int, int]]:
         robot = self.search.robot
@@ -430,20 +437,20 @@ class _Attempt:
         grip, release = search.tool.tool.grip, search.tool.tool.release
         # a sensor that is stuck, or a scrap on the cups, is found before anything is gripped
         held, empty = grip.signals(), release.signals()
-        made = PlanBuilder(search, there.fetch)
-        made.add(TO_STOCK, fetch, False, empty, (), there.approach, clearance)
-        made.add(APPROACH, stock.approach, True, empty, grip.switches(), there.lift)
-        made.add(LIFT, stock.lift, True, held, (), there.carry)
-        return self._carried(made, carry, goal)
+        builder = PlanBuilder(search, there.fetch)
+        builder.add(TO_STOCK, fetch, False, empty, (), there.approach, clearance)
+        builder.add(APPROACH, stock.approach, True, empty, grip.switches(), there.lift)
+        builder.add(LIFT, stock.lift, True, held, (), there.carry)
+        return self._carried(builder, carry, goal)
 
-    def _carried(self, made: PlanBuilder, carry: tuple[Trajectory, float], goal: _Goal) -> TaskMotions:
+    def _carried(self, builder: PlanBuilder, carry: tuple[Trajectory, float], goal: _Goal) -> TaskMotions:
         there, tool = self.scenes, self.search.tool.tool
         held, empty = tool.grip.signals(), tool.release.signals()
         engaged = self.search.recipe.carry_engaged
-        made.add(CARRY, carry[0], engaged, held, (), there.set_down, carry[1])
-        made.add(SET_DOWN, goal.set_down, True, held, tool.release.switches(), there.retreat)
-        made.add(RETREAT, goal.retreat, True, empty, (), there.done)
-        return made.plan(self.grip.name, self.at.tool0_T_element)
+        builder.add(CARRY, carry[0], engaged, held, (), there.set_down, carry[1])
+        builder.add(SET_DOWN, goal.set_down, True, held, tool.release.switches(), there.retreat)
+        builder.add(RETREAT, goal.retreat, True, empty, (), there.done)
+        return builder.plan(self.grip.name, self.at.tool0_T_element)
 
 
 PROCESS = Process(

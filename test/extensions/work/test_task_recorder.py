@@ -21,7 +21,7 @@ from construction_twin.extensions.work.task_recorder import (
     events_of_report,
     plan_actions,
 )
-from construction_twin.review.record import Fate
+from construction_twin.review.record import PlanRecord
 from construction_twin.robot.segments import Segment, Switch
 from construction_twin.scene.objects import SceneObject
 from construction_twin.scene.scene_change import SceneChange
@@ -149,7 +149,7 @@ def test_a_kill_after_any_line_with_everything_else_gone_too(tmp_path, lines, gr
         pass
     again = Node(tmp_path / "ledger")
     before = again.memory.state
-    for entry in events_after_restart(again.memory, Fate("p1", None), grip):
+    for entry in events_after_restart(again.memory, PlanRecord("p1", None), grip):
         again.add(entry)
     state = again.memory.state
     if before is TaskState.DONE or before is TaskState.RETREATING:
