@@ -37,7 +37,7 @@ from construction_twin.extensions.work.task_board import TaskBoard
 from construction_twin.extensions.work.task_memory import Entry
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.planning.work_segment import WorkSegment
-from construction_twin.review.plan_under_review import Ending, Verdict
+from construction_twin.review.plan_under_review import ExecutionEnd, Verdict
 from construction_twin.review.record import ReviewLog
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.plan import Plan, content_hash
@@ -225,7 +225,7 @@ class Bench:
         plan = self.plan
         log.append(Verdict("approved" if approved else "rejected", plan.id, plan.hash, "Ada", "", plan))
         if outcome:
-            log.append(Ending(plan, outcome, ""))
+            log.append(ExecutionEnd(plan, outcome, ""))
         log.close()
 
     def refuse(self, *said) -> None:

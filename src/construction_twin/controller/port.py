@@ -254,13 +254,13 @@ class Make(Generic[LayoutT]):
     file: FileForm[LayoutT] | None = None
     references: tuple[str, ...] = ()
 
-    def layout_of(self, given: str, axes: Sequence[str]) -> LayoutT:
+    def layout_of(self, path_or_text: str, axes: Sequence[str]) -> LayoutT:
         """Return the layout of an arm, by path or text (several lines) of the file that describes it; the plain one for ""."""
-        return self.form_of(given).read(given) if given else self.plain(axes)
+        return self.form_of(path_or_text).read(path_or_text) if path_or_text else self.plain(axes)
 
-    def form_of(self, given: str) -> FileForm[LayoutT]:
-        """Return the form of a file that was given; ConfigurationError when the make has no files."""
+    def form_of(self, path_or_text: str) -> FileForm[LayoutT]:
+        """Return the form of the files, by one of them; ConfigurationError when the make has no files."""
         if self.file is None:
             expected = f"none: {self.name} has no file for its telegrams"
-            raise ConfigurationError("file of the controller", given, expected)
+            raise ConfigurationError("file of the controller", path_or_text, expected)
         return self.file

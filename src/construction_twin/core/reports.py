@@ -149,7 +149,7 @@ class ExecutionReport:
         return self.state not in _NOTHING_PLAYED
 
     @property
-    def ended(self) -> str:
+    def final_outcome(self) -> str:
         """Outcome of the last plan; empty while one is under way."""
         return "" if self.playing else self.outcome
 

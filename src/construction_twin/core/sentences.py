@@ -12,7 +12,7 @@ from functools import reduce
 from string import Formatter
 from typing import Any
 
-from construction_twin.core.units import for_people, to_people
+from construction_twin.core.units import display_text, to_display_unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +25,8 @@ class Quantity:
     def __format__(self, form: str) -> str:
         """Return it in deg or mm with the decimals it needs, with two (``.2``), or in its own unit with six (``.6q``)."""
         if not form:
-            return for_people(self.value, self.unit)
-        number, unit = (self.value, self.unit) if form.endswith("q") else to_people(self.value, self.unit)
+            return display_text(self.value, self.unit)
+        number, unit = (self.value, self.unit) if form.endswith("q") else to_display_unit(self.value, self.unit)
         return f"{number:{form.removesuffix('q')}f} {unit}".strip()
 
 
@@ -63,8 +63,10 @@ class Sentence(str):
 
 def join_sentences(*sentences: str) -> str:
     """Return sentences one after the other; those that are empty are left out."""
-    said = [sentence for sentence in sentences if sentence]
-    return reduce(lambda first, second: Sentence("{first}; {second}", first=first, second=second), said) if said else ""
+    texts = [sentence for sentence in sentences if sentence]
+    return (
+        reduce(lambda first, second: Sentence("{first}; {second}", first=first, second=second), texts) if texts else ""
+    )
 
 
 def replace_part(text: str, part: str, other: str) -> str:

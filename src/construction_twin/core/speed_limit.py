@@ -25,11 +25,11 @@ class SpeedLimit:
     """One source's limit, with a deadline: a source that falls silent is taken to ask for less, never for more.
 
     Args:
-        deadline: A source that was heard must be heard again within this time [s].
+        deadline: A source that was received once must be received again within this time [s].
         silent: Fraction of the speed while it is not; or the last limit, where that was lower.
 
     Attributes:
-        name, fraction: Who was heard last, and what it asked for; "" and 1 before the first time.
+        name, fraction: Who was received last, and what it asked for; "" and 1 before the first time.
         state, limit, reason: As of the last `update`: why, what is allowed, and one sentence for the operator.
     """
 
@@ -64,8 +64,8 @@ class SpeedLimit:
             raise PayloadError("speed_limit_source", two)
         self.record(fraction, name, now)
         words = words.strip() or Sentence("no reason given")
-        said = Sentence("speed limit {limit:g} by {name}: {words}", limit=fraction, name=name, words=words)
-        self._received_sentence, self.reason = sentence or said, ""
+        own = Sentence("speed limit {limit:g} by {name}: {words}", limit=fraction, name=name, words=words)
+        self._received_sentence, self.reason = sentence or own, ""
         self.update(now)
 
     def is_fresh(self, now: int) -> bool:

@@ -26,7 +26,7 @@ from construction_twin.execution.playback import START_TOLERANCE
 from construction_twin.execution.segment_run import tool_missing, tool_pending
 from construction_twin.execution.states import ACTIVE, ExecutorState
 from construction_twin.monitor.states import SyncState
-from construction_twin.review.plan_under_review import APPROVED, REFUSED, REJECTED, Ending, Verdict, check_hash
+from construction_twin.review.plan_under_review import APPROVED, REFUSED, REJECTED, ExecutionEnd, Verdict, check_hash
 from construction_twin.review.record import Release
 from construction_twin.review.rehearsal_report import RehearsalCheck
 from construction_twin.robot.description import RobotModel
@@ -107,7 +107,7 @@ class Approval:
     Recording waits for a disk, so it happens outside of the `lock` that is held around every use of the executor.
 
     Args:
-        record: Called with each approval and release before it is carried out, with one that is refused, and with the Ending of an
+        record: Called with each approval and release before it is carried out, with one that is refused, and with the end of an
             execution that could then not begin. A rejection's record is the caller's.
         clock: Returns the present moment.
 
@@ -120,7 +120,7 @@ class Approval:
     def __init__(
         self,
         executor: Executor,
-        record: Callable[[Verdict | Ending | Release], None],
+        record: Callable[[Verdict | ExecutionEnd | Release], None],
         lock: AbstractContextManager,
         clock: Callable[[], Moment],
     ):
@@ -211,7 +211,7 @@ class Approval:
                 # something happened while it was written down: the record is corrected
                 if verdict.plan is not None:
                     reason = Sentence("not started: {reason}", reason=str(error))
-                    self._record(Ending(verdict.plan, "dropped", reason))
+                    self._record(ExecutionEnd(verdict.plan, "dropped", reason))
                 raise
 
     def approve_automatically(self, now: int, which: AutoApproval = AutoApproval(every=True)) -> Verdict | None:
@@ -381,7 +381,7 @@ class Approval:
             )
         if not plan_hash:
             raise ReviewError(Sentence("to override the rehearsal of plan {plan}, name the plan's hash", plan=plan.id))
-        report = self.rehearsal.of(plan)
+        report = self.rehearsal.report_of(plan)
         if seen != (report.hash if report is not None else ""):
             now = Sentence(
                 "the rehearsal of plan {plan} says something else than was seen: {now}", plan=plan.id, now=problem

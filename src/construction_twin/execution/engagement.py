@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from construction_twin.core.errors import ConfigurationError, ExecutionError, ReviewError, system_message
-from construction_twin.core.files import read_file, write_whole
+from construction_twin.core.files import read_file, write_atomically
 from construction_twin.core.reports import ToolReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
@@ -182,7 +182,7 @@ def write_engagement(path: Path, engagement: Engagement | None) -> None:
         }
         columns = zip(trajectory.times, trajectory.positions, trajectory.velocities, trajectory.accelerations)
         rows = [json.dumps([float(time), *(values.tolist() for values in row)]) for time, *row in columns]
-        write_whole(path, json.dumps(fields)[:-1] + ', "waypoints": [\n' + ",\n".join(rows) + "\n]}\n")
+        write_atomically(path, json.dumps(fields)[:-1] + ', "waypoints": [\n' + ",\n".join(rows) + "\n]}\n")
     except OSError as error:
         values = {"path": str(path), "problem": error.strerror or str(error)}
         raise ExecutionError(

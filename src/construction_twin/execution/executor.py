@@ -18,7 +18,7 @@ from construction_twin.execution.segment_run import ToolOrder
 from construction_twin.execution.states import ACTIVE, ROWS, SURVIVED, ExecutorEvent, ExecutorState
 from construction_twin.monitor.settings import REPLAN, RESUME
 from construction_twin.monitor.states import SyncState
-from construction_twin.review.plan_under_review import Ending, Verdict
+from construction_twin.review.plan_under_review import ExecutionEnd, Verdict
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 
@@ -118,7 +118,7 @@ class Executor(ExecutorMachine):
         orders, self.orders = self.orders, []
         return orders if self.segment_run is None else orders + self.segment_run.pop_orders()
 
-    def pop_events(self) -> list[Verdict | Ending]:
+    def pop_events(self) -> list[Verdict | ExecutionEnd]:
         """Return what is new, to be published. Rejections are recorded already."""
         events, self.events = self.events, []
         return events
@@ -172,7 +172,7 @@ class Executor(ExecutorMachine):
         reason, work = Sentence("the scene changed from {before} to {after}", **scenes), self.segment_run
         if work is None and scene != self._played.plan.scene:
             self._on(ExecutorEvent.STOP, reason)
-        elif work is not None and not work.expects(scene):
+        elif work is not None and not work.allows_scene(scene):
             reason = Sentence("{change}, which was not planned {where}", change=reason, where=work.where)
             self._on(ExecutorEvent.LOST, reason)
 

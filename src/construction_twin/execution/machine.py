@@ -17,7 +17,7 @@ from construction_twin.execution.engagement import REMEDY, Engagement, Engagemen
 from construction_twin.execution.playback import Playback, distance_along
 from construction_twin.execution.segment_run import SegmentRun, ToolOrder
 from construction_twin.execution.states import ACTIVE, OUTCOMES, ROWS, Action, ExecutorEvent, ExecutorState, Guard, Row
-from construction_twin.review.plan_under_review import EXECUTOR, WITHDRAWN, Ending, PlanUnderReview, Verdict
+from construction_twin.review.plan_under_review import EXECUTOR, WITHDRAWN, ExecutionEnd, PlanUnderReview, Verdict
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 
@@ -120,7 +120,7 @@ class ExecutorMachine:
         self.engagement = EngagementStore(left)
         self.under_review = PlanUnderReview()
         self.side_effects = SideEffects()
-        self.events: list[Verdict | Ending] = []
+        self.events: list[Verdict | ExecutionEnd] = []
         self.orders: list[ToolOrder] = []
         self.tool = ToolReport()
         self.now = 0
@@ -253,7 +253,7 @@ class ExecutorMachine:
                 sentence = Sentence(
                     "{end}: look at arm and tool, then plan the task again from where things are", end=sentence
                 )
-        self.events.append(Ending(self._played.plan, self.outcome, sentence))
+        self.events.append(ExecutionEnd(self._played.plan, self.outcome, sentence))
         return sentence
 
     def _withdraw_for_way_back(self, plan: Plan | None) -> None:

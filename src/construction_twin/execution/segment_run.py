@@ -367,7 +367,7 @@ class SegmentRun:
             return tool.why_unknown()
         return tool.mismatch(segment.requires)
 
-    def expects(self, scene: str) -> bool:
+    def allows_scene(self, scene: str) -> bool:
         """Return whether a scene is the present one, or at a boundary the one that was planned for."""
         segment = self.segment
         if segment is None:
@@ -407,8 +407,8 @@ class SegmentRun:
         if event is not None or not self._boundary.done:
             return event
         following = self.plan.segments[self.number + 1] if self.number + 1 < len(self.plan.segments) else None
-        if not self._recorded(following, now):
-            assert self._recording_since is not None  # `_recorded` has set it
+        if not self._is_recorded(following, now):
+            assert self._recording_since is not None  # `_is_recorded` has set it
             if now - self._recording_since > RECORD_TIMEOUT:
                 late = Sentence("the disk did not take what the way back needs; see the executor's log")
                 return BoundaryEvent(ExecutorEvent.TIMEOUT, late)
@@ -422,7 +422,7 @@ class SegmentRun:
             return BoundaryEvent(ExecutorEvent.LOST, lost)
         return BoundaryEvent(ExecutorEvent.NEXT_SEGMENT)
 
-    def _recorded(self, following: Segment | None, now: int) -> bool:
+    def _is_recorded(self, following: Segment | None, now: int) -> bool:
         """Tell whether the disk says where the arm is about to be: an engaged segment, or none."""
         if self.way_back:
             return True

@@ -146,4 +146,4 @@ TABLE: tuple[Row, ...] = (
     *rows((_S.PAUSED, _S.AT_BOUNDARY), _E.LOST, _S.IDLE, Action.STOP),
 )
 
-ROWS = state_table.by_cause(TABLE)
+ROWS = state_table.rows_by_event(TABLE)

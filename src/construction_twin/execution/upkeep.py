@@ -74,21 +74,21 @@ class ExecutionNews:
 
         `moments` returns ROS time [ns] and the robot's clock. A stop that comes after that is not known to the report.
         """
-        executor, news = self._executor, self._news()
+        executor, key = self._executor, self._report_key()
         lines: list[tuple[bool, str]] = []
         if self._limit.state is not self._limit_state:
             self._limit_state = self._limit.state
             lines.append((self._limit_state in _NO_SOURCE, self._limit.reason))
-        if news == self._published:
+        if key == self._published:
             return None, lines
-        if news[0] != self._published[0]:
+        if key[0] != self._published[0]:
             lines.append((False, f"{executor.state.name}: {executor.reason}"))
         report = self._report(*moments())
         # after what may fail: what was not reported is news in the next cycle, too
-        self._published = news
+        self._published = key
         return report, lines
 
-    def _news(self) -> tuple:
+    def _report_key(self) -> tuple:
         """Return what of the report is worth a new one when it changes: first what is worth a line in a log, too."""
         executor, approval, limit = self._executor, self._approval, self._executor.limit
         work, playback, active = executor.segment_run, executor.playback, executor.state in ACTIVE

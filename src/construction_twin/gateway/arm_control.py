@@ -36,9 +36,9 @@ class Refusals:
         self.unread, self.unread_reason, self.unread_why = 0, "", ""
         self._has_own = self._stopped = False
         self._published_at = -NANOSECONDS
-        self.begin_session()
+        self.begin_controller_session()
 
-    def begin_session(self) -> None:
+    def begin_controller_session(self) -> None:
         """Restart the count of what cannot be read: a telegram could be."""
         self._published_reason, self._published_count = "", 0
 
@@ -73,18 +73,18 @@ class Refusals:
         reason, is_new = self.unread_reason, self.unread_reason != self._published_reason
         self._published_at, self._published_count, self._published_reason = now, self.unread, reason
         count, why = self.unread, self.unread_why
-        said = Sentence(
+        text = Sentence(
             "datagrams refused: {count}, the last one for {reason}: {why}", count=count, reason=reason, why=why
         )
-        return said, is_new
+        return text, is_new
 
     def _record(self, counter: str, reason: str, why: object) -> None:
         self._counters[counter] += 1
-        said = f"{reason}: {why}"[:LONGEST_REFUSAL]
+        text = f"{reason}: {why}"[:LONGEST_REFUSAL]
         if self._stopped:
-            self.later = said
+            self.later = text
         else:
-            self.last = said
+            self.last = text
 
 
 class ArmControl:
@@ -144,7 +144,7 @@ class ArmControl:
         return self.machine.reason
 
     @property
-    def session(self) -> str:
+    def command_session(self) -> str:
         """Id of the session that may command; "" for none."""
         return "" if self.machine.state is State.FAILED else self.intake.stream.session
 

@@ -135,10 +135,10 @@ class EnforcedSpeedLimit:
     def on_limit(self, fraction: float, session: str, now: int) -> bool:
         """Store a limit, 0 to 1, of a session; return whether limit or session changed."""
         self._source.record(fraction, session, now)
-        news = (fraction, session) != (self.requested, self.source)
+        changed = (fraction, session) != (self.requested, self.source)
         self.source = session
         self._store(fraction, now)
-        return news
+        return changed
 
     def poll(self, now: int) -> bool:
         """Notice silence, and what has come into force; return whether the source has just fallen silent."""
@@ -209,7 +209,7 @@ class CommandHandler:
             return
         try:
             if state is State.ARMED:
-                why = Sentence("stream of session {session} began", session=gateway.session)
+                why = Sentence("stream of session {session} began", session=gateway.command_session)
                 machine.on(Event.STREAM_BEGAN, Occasion(why, now, stamp=stamp, q=q))
             else:
                 if lost:
@@ -226,7 +226,7 @@ class CommandHandler:
 
     def _on_other_session(self, session: str | None, now: int) -> None:
         gateway = self._gateway
-        if session is not None and gateway.session and not self.owners.has_had_turn(session):
+        if session is not None and gateway.command_session and not self.owners.has_had_turn(session):
             self.owners.record_intruder(session)
         else:
             gateway.player.learn_from_stall(session, now)
@@ -260,9 +260,9 @@ class CommandHandler:
 
     def _limit_speed(self, control: Control, now: int) -> Answer:
         gateway, speed = self._gateway, self.speed
-        if refusal := speed.refusal(control, gateway.session):
+        if refusal := speed.refusal(control, gateway.command_session):
             # one that only lacks an armed session may have been under way when a stop came
-            follows = not gateway.session and not speed.refusal(control, control.session)
+            follows = not gateway.command_session and not speed.refusal(control, control.session)
             gateway.refusals.count_message("speed_limit", refusal, follows)
             return Answer(False, refusal)
         fraction = float(control.value)  # type: ignore[arg-type]  # `refusal` has found a number
@@ -354,8 +354,8 @@ class CommandHandler:
         gateway = self._gateway
         if gateway.state is not State.FOLLOWING:
             return Sentence("no stream is followed, {present}", present=gateway.sentence)
-        if session != gateway.session:
-            return f"session {session} does not command, session {gateway.session} does"
+        if session != gateway.command_session:
+            return f"session {session} does not command, session {gateway.command_session} does"
         if gateway.mode is Mode.COMMISSIONING:
             return Sentence("commissioning mode: nothing is switched, as nothing moves")
         return "" if self.speed.requested else _SPEED_0

@@ -110,7 +110,7 @@ class ControllerSession:
         self.received_at = 0
         self.stamp = 0
         #: Why the present session began.
-        self.began = ""
+        self.begin_reason = ""
         #: The last step of the clock that was not a cycle [ms].
         self.jump_ms = 0
         self._source: object = None
@@ -137,7 +137,7 @@ class ControllerSession:
         elapsed = step * STAMP_NS
         begins = False
         if not goes_on or elapsed != self._cycle:
-            begins = self._is_another(goes_on, step) or self._is_restarted(telegram, moving)
+            begins = self._is_new_session(goes_on, step) or self._is_restarted(telegram, moving)
         if begins:
             self._begin(telegram)
             elapsed = self._cycle
@@ -239,18 +239,18 @@ class ControllerSession:
         self.origin = setpoint
         return tuple([start + value for start, value in zip(setpoint, correction)])
 
-    def _is_another(self, goes_on: bool, step: int) -> bool:
+    def _is_new_session(self, goes_on: bool, step: int) -> bool:
         """Return whether a telegram so many ms on begins another session, by what every make has."""
         if not self.alive:
-            self.began = Sentence("the first telegram after silence")
+            self.begin_reason = Sentence("the first telegram after silence")
         elif not goes_on:
-            self.began = Sentence("telegrams come from another source")
+            self.begin_reason = Sentence("telegrams come from another source")
             self._counters["sessions_by_source"] += 1
         else:
             self.jump_ms = step
             if 0 < step * STAMP_NS <= self._timeout:
                 return False
-            self.began = Sentence("{stamp} jumped by {jump} ms", stamp=self._words.stamp, jump=step)
+            self.begin_reason = Sentence("{stamp} jumped by {jump} ms", stamp=self._words.stamp, jump=step)
             self._counters["sessions_by_ipoc_jump"] += 1
         self._rules.begin()
         return True
@@ -260,7 +260,7 @@ class ControllerSession:
         sign = self._rules.restart_sign(telegram, self.origin, self.replies.sent, moving)
         if sign:
             jump, protocol = self.jump_ms, self._words.protocol
-            self.began = Sentence(
+            self.begin_reason = Sentence(
                 "{sign}, {jump} ms on: {protocol} was switched on anew", sign=sign, jump=jump, protocol=protocol
             )
         self._counters["sessions_by_restart" if sign else "ipoc_steps_irregular"] += 1

@@ -90,7 +90,7 @@ class Gateway(ArmControl):
             counters["telegrams_repeated"] += 1
             return None
         if outcome.begins:
-            self._begin_session(telegram)
+            self._begin_controller_session(telegram)
         if outcome.refusal:
             machine.on(Event.ORIGIN_REFUSED, Occasion(outcome.refusal))
         state = machine.state
@@ -137,14 +137,14 @@ class Gateway(ArmControl):
         # encode: a correction to the origin, or a position; the service writes the make's bytes
         return controller.replies.answer(position, controller.origin)
 
-    def _begin_session(self, telegram: Telegram) -> None:
+    def _begin_controller_session(self, telegram: Telegram) -> None:
         words = self.config.make.words
         began = Sentence(
             "{protocol} session began at {stamp} {value}: {why}",
             protocol=words.protocol,
             stamp=words.stamp,
             value=telegram.controller_ms,
-            why=self.controller.began,
+            why=self.controller.begin_reason,
         )
         # what stands against arming is said, too: the states of a new session do not tell
         self._began = join_sentences(self.with_mode(began), _not_reset(self.stopped))
@@ -184,7 +184,7 @@ class Gateway(ArmControl):
             position = player.play(follower, elapsed, measured)
             overdue = player.playout.overdue
             if overdue > self._silence:
-                player.on_stream_given_up(self.session, self.controller.received_at)
+                player.on_stream_given_up(self.command_session, self.controller.received_at)
                 why = Sentence("no command for {seconds:.3f} s beyond the newest one", seconds=overdue / NANOSECONDS)
                 self.brake(Event.STREAM_SILENT, why)
             return position
@@ -253,20 +253,20 @@ class Gateway(ArmControl):
     def _on_session_began(self, row: Row, occasion: Occasion) -> None:
         self.player.follower = None
         if self.tool is not None:
-            self.tool.begin_session()
+            self.tool.begin_controller_session()
         self.disarm(occasion.reason)
         self.ending = False
         self.controller.replies.begin()
         self.clock.restart()
         self.player.interpolator.restart()
-        self.refusals.begin_session()
+        self.refusals.begin_controller_session()
 
     def _on_session_ended(self, row: Row, occasion: Occasion) -> None:
         self.controller.end()
         self.clock.restart()
         self.player.follower = None
         if self.tool is not None:
-            self.tool.end_session(occasion.reason)
+            self.tool.end_controller_session(occasion.reason)
         self.disarm(occasion.reason)
 
     # -- what it tells
@@ -295,7 +295,7 @@ class Gateway(ArmControl):
         status = {
             "state": self.state.value,
             "reason": self.reason,
-            "session": self.session,
+            "session": self.command_session,
             "fault": self.fault,
             "fault_number": self.fault_number,
             "mode": self.mode.value,

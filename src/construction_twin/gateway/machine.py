@@ -40,10 +40,10 @@ class Machine:
         for row in ROWS[self.state, event]:
             refusal = self.guards[row.guard](occasion)
             if not refusal:
-                said = self.actions[row.action](row, occasion)
+                sentence = self.actions[row.action](row, occasion)
                 if row.target is not None:
                     self.state, self.changed = row.target, True
-                    self.reason = self._entered_for = occasion.reason if said is None else said
+                    self.reason = self._entered_for = occasion.reason if sentence is None else sentence
                 return ""
         return refusal or self._refusal()
 

@@ -77,13 +77,13 @@ class StopReport:
         return {
             "cause": self._cause,
             "by": self._by,
-            "distance_deg": self._for_people(braking.distance) if braking else [],
+            "distance_deg": self._in_display_units(braking.distance) if braking else [],
             "time_s": braking.time if braking else 0.0,
-            "moved_deg": self._for_people(braking.moved) if braking else [],
+            "moved_deg": self._in_display_units(braking.moved) if braking else [],
             "took_s": braking.took if braking else None,
         }
 
-    def _for_people(self, distances: tuple[float, ...]) -> list[float]:
+    def _in_display_units(self, distances: tuple[float, ...]) -> list[float]:
         # rounded up: what is stated is never less than what it stands for
         return [
             math.ceil(1e6 * (1e3 * distance if linear else math.degrees(distance))) / 1e6

@@ -271,8 +271,8 @@ class Playout:
         if rate.steady and elapsed == rate.cycle_ns:
             self._now += elapsed
         else:
-            self._now += rate.advance(elapsed, commands, before >= commands[0][0], self._rests, self._ahead)
-        stamp, target = self._at(self._now)
+            self._now += rate.advance(elapsed, commands, before >= commands[0][0], self._is_at_rest, self._pose_ahead)
+        stamp, target = self._pose_at(self._now)
         rate.record_target(target)
         return stamp, target
 
@@ -290,7 +290,7 @@ class Playout:
         }
 
     @property
-    def _rests(self) -> bool:
+    def _is_at_rest(self) -> bool:
         """True when all that is held, and what came before it, is one pose."""
         return self._resting > len(self._commands)
 
@@ -300,7 +300,7 @@ class Playout:
         at_end = self._arrivals.high + CYCLE_NS + self._clock - now - self.rate.remaining
         wanted = self.bounds.delay(self._arrivals.jitter)
         cycles = round((at_end - wanted) / CYCLE_NS)
-        if cycles < 0 or cycles >= (1 if self._rests else SLACK_CYCLES):
+        if cycles < 0 or cycles >= (1 if self._is_at_rest else SLACK_CYCLES):
             self.rate.move(cycles * CYCLE_NS, urgent=cycles <= -SLACK_CYCLES)
             at_end -= cycles * CYCLE_NS
         self.delay = at_end
@@ -314,11 +314,11 @@ class Playout:
         self._clock += pause
         self.rate.restart_from_rest(put_off)
 
-    def _ahead(self, advance: int) -> Pose:
+    def _pose_ahead(self, advance: int) -> Pose:
         """Return the pose at an advance [ns] of the present cycle, without moving on."""
-        return self._at(self._advanced_from + advance)[1]
+        return self._pose_at(self._advanced_from + advance)[1]
 
-    def _at(self, stamp: int) -> tuple[int, Pose]:
+    def _pose_at(self, stamp: int) -> tuple[int, Pose]:
         """Return stamp and pose at a stamp [ns] not far ahead of the oldest command, between the oldest and the newest one."""
         commands, before = self._commands, self._before
         index = 0

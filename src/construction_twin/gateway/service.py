@@ -86,14 +86,14 @@ class GatewayService:
         """Serve until `stop` is called; then bring the arm to rest, and end the controller's program, before answering ends."""
         try:
             while self._running:
-                self._turn()
+                self._run_once()
             self.run_guarded(self.gateway.end, Sentence("the gateway is ending"), True)
             gateway, resort = self.gateway, self.controller.last_resort
             resort.ending = gateway.config.layout.stop
-            self._turn_while(
+            self._run_while(
                 lambda: not resort.at_rest if self.failure else gateway.state is State.BRAKING, _LONGEST_BRAKING
             )
-            self._turn_while(lambda: resort.ends_program if self.failure else gateway.ends_program, _LAST_STOP)
+            self._run_while(lambda: resort.ends_program if self.failure else gateway.ends_program, _LAST_STOP)
         finally:
             self.run_guarded(self._publish_failure)
             self.run_guarded(self.mqtt.publish_status, True)
@@ -102,10 +102,10 @@ class GatewayService:
                 self.run_guarded(self._stops.close)
             self._sock.close()
 
-    def _turn_while(self, goes_on: Callable[[], bool], longest: float) -> None:
+    def _run_while(self, goes_on: Callable[[], bool], longest: float) -> None:
         deadline = time.monotonic() + longest
         while goes_on() and time.monotonic() < deadline:
-            self._turn()
+            self._run_once()
 
     def stop(self) -> None:
         """Make `run` brake and return; safe in a signal handler."""
@@ -160,11 +160,11 @@ class GatewayService:
 
     # -- the loop
 
-    def _turn(self) -> None:
+    def _run_once(self) -> None:
         """Serve controller and MQTT once; everything in a turn happens at its one `now`."""
         events: list | None = []
         if not self.failure:
-            self.run_guarded(self._work)
+            self.run_guarded(self._serve_once)
         else:
             events = self.run_guarded(self._wait)
         if self.failure:
@@ -185,7 +185,7 @@ class GatewayService:
         # what TLS has decrypted already makes no socket readable
         return self._selector.select(0.0 if self.mqtt.polled.pending else 0.05)
 
-    def _work(self) -> None:
+    def _serve_once(self) -> None:
         events = self._wait()
         if self._thread_failure is not None:
             raise self._thread_failure

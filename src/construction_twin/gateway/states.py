@@ -147,7 +147,7 @@ TABLE: tuple[Row, ...] = (
     *rows(_LIVE, Event.FAILURE, State.FAILED, Action.LAST_RESORT),
 )
 
-ROWS = state_table.by_cause(TABLE)
+ROWS = state_table.rows_by_event(TABLE)
 
 #: What the arm brakes for, as `status` and the counters ``stops_<cause>`` name it.
 CAUSES = {

@@ -102,13 +102,13 @@ class ToolSwitches:
         """Store what the newest telegram reads; None when it cannot be read."""
         self._latest = reading
 
-    def begin_session(self) -> None:
+    def begin_controller_session(self) -> None:
         """Forget what was read back: another controller session has begun."""
         self.void(Sentence("another RSI session began"))
         self._begin(Sentence("nothing read back yet in this RSI session"))
         self._urgent = True
 
-    def end_session(self, why: str) -> None:
+    def end_controller_session(self, why: str) -> None:
         """Forget what was read back: the controller session is over."""
         self.void(why)
         self._latest = None

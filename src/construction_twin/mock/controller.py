@@ -86,11 +86,11 @@ class MockController:
         flag: The controller's own flag that the link was interrupted (timeout).
         stamp: Of the last packet [ms].
         start_pose, setpoint, measured: Length n. Programmed pose of the session, present setpoint, measured axes [rad].
-        reported, true: Length n. What the last packet reports of the axes, and where they really are, which only a fault of an
-            encoder tells apart [rad].
+        reported, true_position: Length n. What the last packet reports of the axes, and where they really are, which only faults of
+            encoders tell apart [rad].
         applied: Length n. Correction in effect, after clamping [rad].
         correction_lower, correction_upper: Length n. Bounds in force in this session [rad].
-        pressed, deaf: The emergency stop is pressed, which to release starts nothing; replies are ignored.
+        emergency_pressed, ignores_replies: The emergency stop is pressed, which to release starts nothing; replies are ignored.
         needs_person: True after an emergency stop: a session is started by a person only.
         ramp: The last emergency stop's, until the next session.
         tool: What the channels of a tool switch and read; None where the layout has none.
@@ -104,7 +104,7 @@ class MockController:
     )
 
     def __init__(self, config: MockConfig, servo: Servo, forward_kinematics: ForwardKinematics):
-        self.pressed = self.needs_person = self.deaf = False
+        self.emergency_pressed = self.needs_person = self.ignores_replies = False
         self.ramp: EmergencyBrake | None = None
         self.program: Program | None = None
         self._tool_limit: ToolSpeedLimit | None = None
@@ -149,7 +149,7 @@ class MockController:
         return self.servo.measured
 
     @property
-    def true(self) -> tuple[float, ...]:
+    def true_position(self) -> tuple[float, ...]:
         """Where the axes really are [rad], shape (n,)."""
         return tuple([angle - slip for angle, slip in zip(self.measured, self.encoders.slip)])
 
@@ -164,7 +164,7 @@ class MockController:
 
     def restart(self, pose: Sequence[float] | None = None) -> None:
         """Start a new session at a pose [rad] within the soft limits, by default what the encoders report."""
-        if self.pressed:
+        if self.emergency_pressed:
             expected = "a released one: inject `estop` with `on` false"
             raise ConfigurationError("restart", "the emergency stop is pressed", expected)
         if pose is None:
@@ -202,7 +202,7 @@ class MockController:
         """Take a datagram in the open cycle, `in_time` or too late; return whether it is the reply: all else is counted."""
         if not self.running or self._decode is None:
             return self._count("unexpected")
-        if self.deaf:
+        if self.ignores_replies:
             return self._count("ignored")
         try:
             telegram = self._decode(data)
@@ -234,7 +234,7 @@ class MockController:
 
     def press_emergency_stop(self) -> None:
         """Brake to rest within the acceleration limits and end the session; packets cease at once."""
-        self.pressed = self.needs_person = True
+        self.emergency_pressed = self.needs_person = True
         self.program = None
         if self.running:
             begin = self.setpoint, self._last_step
@@ -254,7 +254,7 @@ class MockController:
 
     def run_program(self, goal: Sequence[float], duration: float = 0.0) -> None:
         """Move to a pose [rad], with the present corrections; without a duration [s] at `JOG_FRACTION` of the limits."""
-        if self.pressed or self.ramp is not None and not self.ramp.done:
+        if self.emergency_pressed or self.ramp is not None and not self.ramp.done:
             raise ConfigurationError("jog", tuple(goal), "an arm at rest whose emergency stop is not pressed")
         self._check_range(goal)
         if not self.running:

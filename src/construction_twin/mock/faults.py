@@ -253,8 +253,11 @@ class FaultBoard:
             return self._grip(fault)
         controller, values = self.controller, fault.values
         actions: dict[str, _OnOff] = {
-            "estop": (controller.press_emergency_stop, partial(setattr, controller, "pressed", False)),
-            "rsi_timeout": (partial(setattr, controller, "deaf", True), partial(setattr, controller, "deaf", False)),
+            "estop": (controller.press_emergency_stop, partial(setattr, controller, "emergency_pressed", False)),
+            "rsi_timeout": (
+                partial(setattr, controller, "ignores_replies", True),
+                partial(setattr, controller, "ignores_replies", False),
+            ),
             "t1": (lambda: controller.limit_tool_speed(values[0] if values else T1_SPEED), controller.lift_tool_speed),
             "restart": (controller.restart, _nothing),
             "restart_at": (lambda: controller.restart(values), _nothing),

@@ -19,7 +19,7 @@ from queue import Empty, SimpleQueue
 from typing import TypeVar
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.udp import ask_for_stamps, receive
+from construction_twin.core.udp import enable_timestamps, receive
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import FaultBoard
@@ -32,8 +32,8 @@ def steady_offset(wall: Callable[[], int] = time.time_ns, steady: Callable[[], i
     """Return how far the monotonic clock is ahead of the wall clock [ns], from the narrowest of a few readings."""
     readings = []
     for _ in range(_TRIES):
-        begin, seen, end = steady(), wall(), steady()
-        readings.append((end - begin, (begin + end) // 2 - seen))
+        begin, at_wall, end = steady(), wall(), steady()
+        readings.append((end - begin, (begin + end) // 2 - at_wall))
         if end - begin <= _TIGHT:
             break
     return min(readings)[1]
@@ -60,7 +60,7 @@ class MockRsi:
     Attributes:
         overruns, skipped: Packets that left more than half a cycle late; grid points skipped after a stall beyond `CATCH_UP`.
         foreign: Datagrams that did not come from the gateway.
-        left: When the last packet left, on the monotonic clock [ns].
+        sent_at: When the last packet left, on the monotonic clock [ns].
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class MockRsi:
     ):
         self.controller = controller
         self.faults = FaultBoard(controller, fault_seed)
-        self.overruns = self.skipped = self.foreign = self.send_errors = self.left = 0
+        self.overruns = self.skipped = self.foreign = self.send_errors = self.sent_at = 0
         self._gateway = _resolve(*gateway)
         self._cycle = controller.config.cycle * NANOSECONDS // 1000
         #: Shortest distance of two packets [ns].
@@ -113,7 +113,7 @@ class MockRsi:
                 self._follow_session(due)
                 self.faults.tick()
                 packet = self.controller.begin_cycle()
-                self.left = time.monotonic_ns()
+                self.sent_at = time.monotonic_ns()
                 if packet is not None:
                     self._send(packet)
                 sent = time.monotonic_ns()
@@ -242,10 +242,10 @@ class MockRsi:
 
 def _open_socket() -> tuple[socket.socket, bool]:
     """Return a socket on a port of the system's choice on all addresses, as the controller opens it, and whether it has stamps."""
-    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    made.setblocking(False)
-    made.bind(("", 0))
-    return made, ask_for_stamps(made)
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.setblocking(False)
+    sock.bind(("", 0))
+    return sock, enable_timestamps(sock)
 
 
 def _resolve(host: str, port: int) -> tuple[str, int]:

@@ -18,7 +18,7 @@ from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.controller.port import Layout
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.extensions import check_extras, extension
+from construction_twin.core.extensions import check_extras, import_extension
 from construction_twin.core.realtime import request_realtime
 from construction_twin.core.share import share_file
 from construction_twin.core.units import from_wire, to_wire
@@ -129,7 +129,7 @@ def build_servo(settings: MockSettings, robot: RobotModel) -> Servo:
     period = settings.cycle / 1000
     if settings.servo == "physics":
         check_extras("physics")
-        return extension("physics.mock_servo").physics_servo(settings, robot, period)
+        return import_extension("physics.mock_servo").physics_servo(settings, robot, period)
     if settings.servo == "ideal":
         return IdealServo(SERVO_DELAY_CYCLES, period)
     return RealisticServo(SERVO_OMEGA, SERVO_ZETA, RESOLUTION, period)

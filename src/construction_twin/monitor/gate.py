@@ -13,7 +13,7 @@ from construction_twin.core.limits import MotionCheck, MotionLimits
 from construction_twin.core.sentences import Quantity, Sentence, Value
 from construction_twin.core.state_table import row_of
 from construction_twin.core.travel_time import TravelTime
-from construction_twin.core.units import CYCLE_NS, NANOSECONDS, axis_name, from_people, to_people
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS, axis_name, from_display_unit, to_display_unit
 from construction_twin.monitor.comparison import Comparison, PoseComparison, RoundTrips
 from construction_twin.monitor.servo_watch import ServoDifference, ServoWatch
 from construction_twin.monitor.settings import STOP, GateSettings
@@ -72,7 +72,9 @@ class Gate:
     ):
         self._limits, self._compares = limits, compares
         #: Compares the arm with where its servos should have it; None: nobody knows these.
-        self.servo_watch = ServoWatch(servos, settings.compared(limits).threshold) if servos is not None else None
+        self.servo_watch = (
+            ServoWatch(servos, settings.comparison_settings(limits).threshold) if servos is not None else None
+        )
         self._codec = codec
         self.settings = settings
         self.violations = 0
@@ -86,7 +88,7 @@ class Gate:
         self.fire(SyncEvent.STARTED, Sentence("started"), now)
 
     def _forget(self) -> None:
-        self.comparison = PoseComparison(self.settings.compared(self._limits))
+        self.comparison = PoseComparison(self.settings.comparison_settings(self._limits))
         if self.servo_watch is not None:
             self.servo_watch.restart()
         #: Nominal stamp of the last setpoint that passed [ns]; 0 when none.
@@ -227,7 +229,7 @@ class Gate:
     def configure(self, settings: GateSettings, reason: str, now: int) -> None:
         """Go on with other settings, from rest; the change is a transition."""
         self.check_rest(now)
-        comparison = settings.compared(self._limits)
+        comparison = settings.comparison_settings(self._limits)
         if self.servo_watch is not None:
             self.servo_watch.configure(comparison.threshold)
         self.comparison.configure(comparison)
@@ -281,10 +283,10 @@ class Gate:
             return
         if servos is None:
             worst = comparison.worst()
-            values = for_people(self._limits, worst, comparison.error[worst], comparison.threshold[worst])
+            values = difference_values(self._limits, worst, comparison.error[worst], comparison.threshold[worst])
             sentence = Sentence("{joint} differs by {difference:.3}, {threshold:.3} allowed", **values)
         else:
-            values = for_people(self._limits, servos.joint, servos.residual, servos.threshold)
+            values = difference_values(self._limits, servos.joint, servos.residual, servos.threshold)
             sentence = Sentence(
                 "{joint} is {difference:.3} from where its servo should have it, {threshold:.3} allowed", **values
             )
@@ -338,8 +340,8 @@ class Gate:
             elif (watch := self.servo_watch) is not None and watch.refinement.due and self.is_at_rest(now):
                 # what was learned of the servos takes effect at rest; a change is a transition
                 if changes := watch.refine():
-                    told = ", ".join(f"{name} {1e3 * change:+.2f} ms" for name, change in changes.items())
-                    refined = Sentence("the servos' lag was refined: {lags}", lags=told)
+                    changed = ", ".join(f"{name} {1e3 * change:+.2f} ms" for name, change in changes.items())
+                    refined = Sentence("the servos' lag was refined: {lags}", lags=changed)
                     self.fire(SyncEvent.SERVOS_REFINED, refined, now)
         elif self._row(SyncEvent.GAVE_UP, now) is not None:
             held = (now - self._closed_at) / NANOSECONDS
@@ -403,11 +405,11 @@ class Gate:
         return command
 
 
-def for_people(limits: MotionLimits, joint: int, difference: float, threshold: float) -> dict[str, Value]:
+def difference_values(limits: MotionLimits, joint: int, difference: float, threshold: float) -> dict[str, Value]:
     """Return the axis' name, and a difference that reads as more than its threshold with three decimals of deg or mm."""
     unit = "m" if limits.linear[joint] else "rad"
-    (shown, _), (allowed, people) = to_people(difference, unit), to_people(threshold, unit)
+    (shown, _), (allowed, people) = to_display_unit(difference, unit), to_display_unit(threshold, unit)
     if round(shown, 3) <= round(allowed, 3):
-        difference, _ = from_people(round(allowed, 3) + 0.001, people)
+        difference, _ = from_display_unit(round(allowed, 3) + 0.001, people)
     name = axis_name(limits.names[joint])
     return {"joint": name, "difference": Quantity(difference, unit), "threshold": Quantity(threshold, unit)}

@@ -35,7 +35,7 @@ class ReplanGoal:
         goal: Shape (n,). [rad]
         speed_scale, acceleration_scale: Largest fraction of the limits that the plan uses, at most 1; 0 for a plan that stands
             still.
-        seen: The robot's clock when the executor was last known to play it; empty: never. A plan that a person stopped later must
+        last_played: Robot clock when the executor was last known to play it; empty: never. A plan that a person stopped later must
             not be taken up again.
     """
 
@@ -43,7 +43,7 @@ class ReplanGoal:
     goal: tuple[float, ...]
     speed_scale: float
     acceleration_scale: float
-    seen: str = ""
+    last_played: str = ""
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class Monitor:
                 raise ConfigurationError("the executor", self._executing, "no plan that is being executed")
             # before the text is read: whatever reading it costs, it costs at rest
             self.gate.check_rest(now)
-            settings = self.gate.settings.changed(text)
+            settings = self.gate.settings.with_changes(text)
             difference = self.gate.settings.difference(settings)
             if not difference:
                 return "nothing to change"
@@ -144,7 +144,7 @@ class Monitor:
         found = self._goals.get(played.plan_id) if played.playing else None
         if found is None or found.speed_scale <= 0.0 or found.acceleration_scale <= 0.0:
             return None
-        return replace(found, seen=played.moment)
+        return replace(found, last_played=played.moment)
 
     def pop_transitions(self) -> tuple[list[Transition], Replan | None]:
         """Return the gate's transitions, and the plan to ask for when it has just closed, before the change is heard."""

@@ -72,7 +72,7 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Ending:
+class ExecutionEnd:
     """What became of an execution: ``finished``, ``stopped``, ``held`` or ``dropped``, and why."""
 
     plan: Plan

@@ -10,7 +10,7 @@ from pathlib import Path
 from construction_twin.core.append_only import AppendOnlyFile, read_lines
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RecordError
 from construction_twin.core.reports import SessionRequest, SpeedChange
-from construction_twin.review.plan_under_review import APPROVED, Ending, Verdict
+from construction_twin.review.plan_under_review import APPROVED, ExecutionEnd, Verdict
 from construction_twin.robot.plan import Plan
 
 
@@ -36,7 +36,7 @@ class Release:
 
 
 #: What is recorded.
-Record = Verdict | Ending | Responsibility | Release | SessionRequest | SpeedChange
+Record = Verdict | ExecutionEnd | Responsibility | Release | SessionRequest | SpeedChange
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def _fields(record: Record, responsibility: Responsibility | None) -> dict:
         return named | {"before": record.before, "whose": record.whose}
     if isinstance(record, Release):
         return {"record": "release"} | asdict(record)
-    if isinstance(record, Ending):
+    if isinstance(record, ExecutionEnd):
         plan = record.plan
         named = {"record": "execution", "outcome": record.outcome, "plan": plan.id, "trajectory": plan.hash}
         return named | _task_fields(plan) | {"scene": plan.scene, "reason": record.reason}

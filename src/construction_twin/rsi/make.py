@@ -207,9 +207,9 @@ def check(setup: Setup) -> None:
     check_tool(setup.tool, setup.layout, _FILE)
 
 
-def layout_of(given: str) -> RsiLayout:
+def layout_of(path_or_text: str) -> RsiLayout:
     """Return the layout of an Ethernet XML, from its path or text (several lines)."""
-    return (read_ethernet_xml(given, _FILE) if "\n" in given else load_ethernet_xml(given)).layout
+    return (read_ethernet_xml(path_or_text, _FILE) if "\n" in path_or_text else load_ethernet_xml(path_or_text)).layout
 
 
 def reader(setup: Setup) -> Reader:

@@ -98,8 +98,8 @@ class StatusReader:
             mode, program, override = [None if text is None else float(text) for text in texts]
             is_percentage = override is not None and 0.0 <= override <= 100.0
             self._status = RsiStatus(_whole(mode), _whole(program), override if is_percentage else None)
-            told = (self._status.mode, self._status.program, self._status.override)
-            self._unreadable = self._count - sum(value is not None for value in told)
+            values = (self._status.mode, self._status.program, self._status.override)
+            self._unreadable = self._count - sum(value is not None for value in values)
         return self._status, self._unreadable
 
 

@@ -1,4 +1,4 @@
-"""The kinematic twin: executes commands exactly, after it has taken over the arm's pose.
+"""The kinematic twin: executes commands exactly, after it has assumed the arm's pose.
 
 Pure; angles in rad, prismatic joints in m, stamps in ns.
 """
@@ -45,12 +45,12 @@ class GazeboTwin:
     def cycle(self, commanded: tuple[float, ...]) -> None:
         """See `TwinBackend`."""
 
-    def templates_of(self, stamp: int) -> None:
-        """Remember a command that was published."""
+    def on_published(self, stamp: int) -> None:
+        """Remember a command that was published, by its stamp."""
         self._open.append(stamp)
 
     def on_simulated_pose(self, stamp: int) -> bool:
-        """Take the stamp of a simulated pose; return whether its command waited. Those before it were skipped."""
+        """Remove the command of a simulated pose, by stamp, and those before it; return whether it waited."""
         if stamp not in self._open:
             return False
         while self._open.popleft() != stamp:
@@ -182,7 +182,7 @@ class VirtualRobot:
         return True
 
     def assume_pose(self, q: tuple[float, ...]) -> bool:
-        """Take the physical arm's pose [rad] if none is held; return whether it was taken."""
+        """Assume the physical arm's pose [rad] if none is held; return whether it was assumed."""
         if self.pose is not None:
             return False
         self.pose = q

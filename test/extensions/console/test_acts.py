@@ -30,7 +30,7 @@ from construction_twin.extensions.console.nodes.shown_plan import ShownPlan
 from construction_twin.mqtt.client import Account, Broker
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import ANSWERS, PRESSED
-from construction_twin.review.rehearsal_report import FAILED, PASSED, RehearsalReport, finished
+from construction_twin.review.rehearsal_report import FAILED, PASSED, RehearsalReport, with_hash
 from construction_twin.ros.messages.records import to_msg
 
 #: The robot's account on a site.
@@ -621,7 +621,7 @@ def shown_rehearsals(bench) -> list[bytes]:
 
 
 def rehearsed(**found) -> Rehearsal:
-    return to_msg(finished(RehearsalReport(plan_id="p1", **found), 0.1), Rehearsal)
+    return to_msg(with_hash(RehearsalReport(plan_id="p1", **found), 0.1), Rehearsal)
 
 
 def test_a_rehearsal_whose_hash_is_not_its_own_is_refused_and_counted(bench):

@@ -174,7 +174,7 @@ def test_they_outlast_the_node_and_what_lasted_begins_anew(tmp_path, monkeypatch
         before.lines(STOPPED, at)
     before.acknowledge(0, "ada", 2.0)
     before.board.write()
-    monkeypatch.setattr(module, "write_whole", lambda *_: pytest.fail("nothing has changed"))
+    monkeypatch.setattr(module, "write_atomically", lambda *_: pytest.fail("nothing has changed"))
     before.board.write()
     made = Board(path)
     assert made.messages[0].acknowledged_by == "ada" and made.messages[0].until == 0.0

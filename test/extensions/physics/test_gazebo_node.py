@@ -40,7 +40,7 @@ def become(monkeypatch):
     monkeypatch.setattr(os, "execvp", other)
 
 
-def tell(node: GazeboNode, scene: Scene) -> None:
+def send_scene(node: GazeboNode, scene: Scene) -> None:
     node.on_scene(scene_to_msg(scene, rospy.Time(1), "base_link"))
 
 
@@ -49,7 +49,7 @@ def test_before_the_scene_is_known_it_waits(node):
 
 
 def test_it_becomes_the_program_that_it_was_told_with_the_world_of_its_robot(node, become):
-    tell(node, SCENE)
+    send_scene(node, SCENE)
     with pytest.raises(Became) as became:
         node.run()
     program, *words, path = became.value.args
@@ -70,8 +70,8 @@ def test_a_scene_that_cannot_be_simulated_is_reported_and_the_next_one_is_used(n
         return world_of(bodies, scene, *more)
 
     monkeypatch.setattr(module, "world_of", make)
-    tell(node, SCENE)
-    tell(node, Scene())
+    send_scene(node, SCENE)
+    send_scene(node, Scene())
     with pytest.raises(Became):
         node.run()
     assert made == [SCENE.hash, Scene().hash]

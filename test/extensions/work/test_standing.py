@@ -18,7 +18,7 @@ def wall(name, at=(0.0, 0.3, 0.0), **changes):
     return replace(element(name, at, ifc_class="IfcWall"), bodies=(WALL,), **changes)
 
 
-def made(model, *names):
+def pieces_of(model, *names):
     return {name: box_pieces(model.element(name)) for name in names}
 
 
@@ -27,7 +27,7 @@ def test_a_wall_that_no_task_makes_is_a_fixed_obstacle_where_the_model_has_it(tm
     model = building(element("b"), wall("wall"))
     pieces, notes = standing_obstacles(model, ["b"], at, REACH, tmp_path)
     assert set(pieces) == {"wall"} and not notes
-    layout = Layout(at, model, made(model, "b"), ["b"], robot().tip_link, pieces)
+    layout = Layout(at, model, pieces_of(model, "b"), ["b"], robot().tip_link, pieces)
     for state in ({}, {"b": layout.base_T_goal("b")}):
         item = next(one for one in layout.scene(state).objects if one.name == "wall/0")
         # model_T_base is (0, -1.6, -0.6), the middle of the wall (1, 0.35, 0.5) in the model
@@ -38,7 +38,7 @@ def test_what_an_element_of_the_work_touches_may_be_one_that_stands(tmp_path):
     at = work_cell(tmp_path)
     model = building(element("b"), wall("wall", (-0.5, -0.05, -1.0)))
     pieces, notes = standing_obstacles(model, ["b"], at, REACH, tmp_path)
-    layout = Layout(at, model, made(model, "b"), ["b"], robot().tip_link, pieces)
+    layout = Layout(at, model, pieces_of(model, "b"), ["b"], robot().tip_link, pieces)
     assert "wall/0" in layout.job_for("b", layout.scene()).supports
 
 
@@ -68,6 +68,6 @@ def test_what_was_taken_down_is_in_no_scene(tmp_path):
     at = work_cell(tmp_path)
     model = building(element("b"), wall("old", status="demolish"))
     pieces, notes = standing_obstacles(model, ["b"], at, REACH, tmp_path)
-    layout = Layout(at, model, made(model, "b"), ["b"], robot().tip_link, pieces)
+    layout = Layout(at, model, pieces_of(model, "b"), ["b"], robot().tip_link, pieces)
     assert "old/0" in layout.scene().names
     assert "old/0" not in layout.scene(gone=frozenset({"old"})).names

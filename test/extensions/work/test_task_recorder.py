@@ -87,7 +87,7 @@ class Node:
     def offer(self) -> None:
         self.add(Entry("offered", "stud", "E", offer="o1", grip="top", pose=HELD_AS))
 
-    def hear(self, report: ExecutionReport, grip: GripReading, plan: PlanActions = PLAN) -> None:
+    def on_report(self, report: ExecutionReport, grip: GripReading, plan: PlanActions = PLAN) -> None:
         for entry in events_of_report(self.memory, plan, report, grip, STANDS):
             self.add(entry)
 
@@ -96,7 +96,7 @@ def run(node: Node, reports=REPORTS) -> None:
     node.offer()
     node.add(Entry("planned", "stud", "E", offer="o1", plan="p1"))
     for report, grip in reports:
-        node.hear(report, grip)
+        node.on_report(report, grip)
 
 
 def test_a_report_that_is_heard_again_adds_nothing(tmp_path):
@@ -111,7 +111,7 @@ def test_a_report_that_was_missed_is_made_up_for(tmp_path, gone):
     node = Node(tmp_path / "ledger")
     run(node, REPORTS[:gone] + REPORTS[gone + 1 :])
     if gone == len(REPORTS) - 1:
-        node.hear(*REPORTS[-1])
+        node.on_report(*REPORTS[-1])
     assert node.memory.state is TaskState.DONE and node.memory.base_T_element == STANDS
 
 
@@ -125,7 +125,7 @@ def test_a_kill_after_any_line_while_the_executor_goes_on(tmp_path, lines, later
         first.offer()
         first.add(Entry("planned", "stud", "E", offer="o1", plan="p1"))
         for heard, (report, grip) in enumerate(REPORTS):
-            first.hear(report, grip)
+            first.on_report(report, grip)
         first.ledger.close()
     except Killed:
         pass
@@ -133,7 +133,7 @@ def test_a_kill_after_any_line_while_the_executor_goes_on(tmp_path, lines, later
         return  # it never offered: no plan exists
     again = Node(tmp_path / "ledger")
     for report, grip in REPORTS[max(heard, later) :]:
-        again.hear(report, grip)
+        again.on_report(report, grip)
     assert again.memory.state is TaskState.DONE
     assert again.memory.placed and again.memory.base_T_element == STANDS
 
@@ -172,7 +172,7 @@ def test_a_stop_after_any_report(tmp_path, heard, outcome, segment_known, plan):
     node = Node(tmp_path / "ledger")
     run(node, REPORTS[: heard + 1])
     before, (report, grip) = node.memory.state, REPORTS[heard]
-    node.hear(end(outcome, report.segment if segment_known else -1), grip, plan)
+    node.on_report(end(outcome, report.segment if segment_known else -1), grip, plan)
     state = node.memory.state
     if before is TaskState.RETREATING:
         assert state is TaskState.DONE
@@ -189,7 +189,7 @@ def test_a_switch_that_nobody_confirmed_is_asked_about_when_the_plan_is_not_know
     node = Node(tmp_path / "ledger")
     run(node, REPORTS[: heard + 1])
     lines = node.ledger.lines
-    node.hear(end("stopped", 4), grip, UNKNOWN_PLAN)
+    node.on_report(end("stopped", 4), grip, UNKNOWN_PLAN)
     assert node.memory.state is TaskState.ASKS and not node.memory.placed
     assert node.ledger.lines == lines + 1
 
@@ -197,7 +197,7 @@ def test_a_switch_that_nobody_confirmed_is_asked_about_when_the_plan_is_not_know
 def test_a_stop_before_the_grip_asks_nobody_even_if_the_tool_is_not_known(tmp_path):
     node = Node(tmp_path / "ledger")
     run(node, REPORTS[:1])
-    node.hear(end("stopped", 0), UNKNOWN)
+    node.on_report(end("stopped", 0), UNKNOWN)
     assert node.memory.state is TaskState.READY
 
 
@@ -207,14 +207,14 @@ def test_a_stop_on_the_way_to_the_grip_asks_unless_the_tool_is_surely_open(tmp_p
     ):
         node = Node(tmp_path / str(number))
         run(node, REPORTS[:2])
-        node.hear(end("stopped", 1), grip)
+        node.on_report(end("stopped", 1), grip)
         assert node.memory.state is state
 
 
 def test_an_element_that_is_in_the_grip_is_carried_on(tmp_path):
     node = Node(tmp_path / "ledger")
     run(node, REPORTS[:5])
-    node.hear(end("held", 2), CLOSED)
+    node.on_report(end("held", 2), CLOSED)
     node.add(Entry("answered", "stud", "E", answer="in_grip", person="eva"))
     assert node.memory.state is TaskState.CARRIED
     node.add(Entry("offered", "stud", "E", offer="o2"))

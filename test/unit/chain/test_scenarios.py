@@ -314,7 +314,7 @@ class ScenarioRun:
         """What the mock would publish in a cycle."""
         chain, controller = self.chain, self.chain.controller
         now = chain.now
-        true = joint_angles(ROBOT, controller.true)
+        true = joint_angles(ROBOT, controller.true_position)
         self._arm.append((now, true))
         self._rest.update(now / NANOSECONDS, true)
         if controller.counters["missed"] != self._missed:

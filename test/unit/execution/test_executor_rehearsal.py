@@ -106,9 +106,9 @@ class TestRequired:
         plan = offered(bench, connection_log)
         for number in range(3):
             bench.approval.rehearsal.on_report(connection_log(make_plan(f"q{number}")))
-        assert bench.approval.rehearsal.of(plan) is not None
+        assert bench.approval.rehearsal.report_of(plan) is not None
         bench.approval.rehearsal.on_report(connection_log(make_plan("q4")))
-        assert bench.approval.rehearsal.of(plan) is None
+        assert bench.approval.rehearsal.report_of(plan) is None
 
     def test_what_needs_no_person_waits_for_it_and_is_withdrawn_when_it_fails(self, bench):
         plan = offered(bench)

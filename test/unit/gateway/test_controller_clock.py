@@ -243,7 +243,7 @@ def test_an_arm_that_is_commanded_brakes_when_the_cycle_changes(cycle, other, sa
             cell.send(START)
         cell.cycle(step_ms=other)
     assert cell.state is State.BRAKING and cell.gateway.reason.startswith(f"cycle: {said}")
-    assert (cell.gateway.fault, cell.gateway.session, cell.count("stops_cycle")) == (True, "", 1)
+    assert (cell.gateway.fault, cell.gateway.command_session, cell.count("stops_cycle")) == (True, "", 1)
     cell.cycle(20, step_ms=other)
     assert cell.state is State.HOLDING and cell.gateway.status()["stop"]["cause"] == "cycle"
     # a reset leads to no armed session as long as the cycle is the other one

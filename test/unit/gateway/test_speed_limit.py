@@ -334,7 +334,7 @@ def test_whatever_limits_come_and_go_every_cycle_is_inside_the_arm_s_limits(limi
     cycle = 0
     for fraction, length in limits:
         for k in range(length):
-            if k % 25 == 0 and cell.gateway.session:
+            if k % 25 == 0 and cell.gateway.command_session:
                 cell.control("speed_limit", value=fraction)
             cycle += 1
             if cycle in losses:

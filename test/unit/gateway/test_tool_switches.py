@@ -236,7 +236,7 @@ def test_armed_switches_exist_only_while_a_stream_is_followed_and_final_states_s
             cell.go_on(7)
         elif action == "arm" and cell.state is State.HOLDING:
             cell.follow(10)
-        elif action in ("grip", "release") and cell.gateway.session:
+        elif action in ("grip", "release") and cell.gateway.command_session:
             cell.ask(action == "grip", ahead=12, id=f"s{count}")
         elif action in ("stop", "void"):
             cell.control(action, None, "anybody")
@@ -393,7 +393,7 @@ def pure(count=2):
     layout = dataclasses.replace(LAYOUT, switched=("Enable", *names), switched_holdon=(True, *[False] * count))
     tool = dataclasses.replace(TOOL, outputs=tuple(ToolOutput(name, "off", True) for name in names))
     switches = ToolSwitches(tool, layout, CYCLE_NS, Counter())
-    switches.begin_session()
+    switches.begin_controller_session()
     read(switches, [False] * count)
     return switches
 

@@ -30,12 +30,15 @@ def held_often(gate: Gate) -> tuple[int, float]:
 
 class TestThresholds:
     def test_one_value_holds_for_all_joints_and_others_are_given_by_name(self):
-        settings = GateSettings(threshold=0.02, thresholds={"joint_a2": 0.005}).compared(LIMITS)
+        settings = GateSettings(threshold=0.02, thresholds={"joint_a2": 0.005}).comparison_settings(LIMITS)
         assert settings.threshold == (0.02, 0.005)
 
     def test_linear_joints_have_a_value_of_their_own(self):
         limits = MotionLimits(("joint_a1", "track"), (-2.0, 0.0), (2.0, 3.0), (2.0, 1.0), (3.0, 1.0), (False, True))
-        assert GateSettings(threshold=0.02, threshold_linear=0.003).compared(limits).threshold == (0.02, 0.003)
+        assert GateSettings(threshold=0.02, threshold_linear=0.003).comparison_settings(limits).threshold == (
+            0.02,
+            0.003,
+        )
 
     def test_a_name_that_is_no_joint_is_refused(self):
         with pytest.raises(ConfigurationError, match="joint_a9"):

@@ -7,7 +7,7 @@ from dataclasses import replace
 from plan_samples import make_plan
 
 from construction_twin.core.reports import SessionRequest, SpeedChange
-from construction_twin.review.plan_under_review import APPROVED, REJECTED, Ending, Verdict
+from construction_twin.review.plan_under_review import APPROVED, REJECTED, ExecutionEnd, Verdict
 from construction_twin.review.record import PlanRecord, ReviewLog, read_plan_record
 from construction_twin.robot.trajectory import Trajectory
 
@@ -27,7 +27,9 @@ def verdict(plan_id: str, word: str = APPROVED, source: str = "work, offer 12ab"
 
 def test_a_plan_is_found_by_its_id_or_by_what_its_source_names(tmp_path):
     path = tmp_path / "reviews.jsonl"
-    record(path, verdict("other", source="someone"), verdict("p1"), Ending(replace(PLAN, id="p1"), "stopped", "why"))
+    record(
+        path, verdict("other", source="someone"), verdict("p1"), ExecutionEnd(replace(PLAN, id="p1"), "stopped", "why")
+    )
     assert read_plan_record(path, "p1") == PlanRecord("p1", True, "stopped")
     assert read_plan_record(path, "", "offer 12ab") == PlanRecord("p1", True, "stopped")
     assert read_plan_record(path, "", "offer 99") == PlanRecord("", False)
@@ -43,7 +45,9 @@ def test_a_plan_that_was_rejected_or_never_decided_was_not_approved(tmp_path):
 def test_what_people_set_meanwhile_says_nothing_of_a_plan(tmp_path):
     path = tmp_path / "reviews.jsonl"
     lowered, lifted = SpeedChange("dora", 0.3, 1.0, ""), SessionRequest("reset", "ada", "stop 3")
-    record(path, lowered, verdict("p1"), lifted, lowered, Ending(replace(PLAN, id="p1"), "stopped", "why"), lowered)
+    record(
+        path, lowered, verdict("p1"), lifted, lowered, ExecutionEnd(replace(PLAN, id="p1"), "stopped", "why"), lowered
+    )
     assert read_plan_record(path, "p1") == PlanRecord("p1", True, "stopped")
     assert read_plan_record(path, "", "offer 12ab") == PlanRecord("p1", True, "stopped")
 

@@ -25,7 +25,7 @@ from construction_twin.review.rehearsal_report import (
     AxisLoad,
     RehearsalReport,
     RehearsedContact,
-    finished,
+    with_hash,
 )
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.messages.convert import plan_to_msg, pose_from_transform_msg
@@ -280,7 +280,7 @@ def rehearsal(plan: Plan, **changes) -> Rehearsal:
         plan.id, plan.hash, plan.scene, state=PASSED, axes=axes, contacts=(contact,), worst_time=0.1,
         worst_pose=tuple(HOME.tolist()),
     )  # fmt: skip
-    return to_msg(finished(dataclasses.replace(report, **changes), 0.1), Rehearsal)
+    return to_msg(with_hash(dataclasses.replace(report, **changes), 0.1), Rehearsal)
 
 
 PARTS = [

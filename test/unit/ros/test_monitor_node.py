@@ -226,7 +226,7 @@ class TestSettings:
 
     def test_are_not_even_read_unless_a_named_person_asks_at_rest(self, world, monkeypatch):
         node = opened(world)
-        monkeypatch.setattr(GateSettings, "changed", lambda *_: pytest.fail("read the settings"))
+        monkeypatch.setattr(GateSettings, "with_changes", lambda *_: pytest.fail("read the settings"))
         assert "operator" in world.change(node, "{policy: stop}", "").message
         node.on_execution(Execution(state=Execution.PLAYING, text="PLAYING", plan_id="p"))
         assert "plan p" in world.change(node, "{policy: stop}").message

@@ -185,7 +185,7 @@ def test_a_rejection_that_was_answered_is_on_record_once_although_the_node_ends_
 
 def test_what_fails_when_nobody_has_asked_for_anything_still_ends_the_node(world, monkeypatch):
     world.playing()
-    monkeypatch.setattr(ExecutionNews, "_news", fail)
+    monkeypatch.setattr(ExecutionNews, "_report_key", fail)
     with pytest.raises(Unforeseen):
         world.run(1)
 
@@ -193,7 +193,7 @@ def test_what_fails_when_nobody_has_asked_for_anything_still_ends_the_node(world
 @pytest.mark.parametrize("which", ["stop", "stop_plan", "pause"])
 def test_and_of_what_goes_on_failing_not_before_the_arm_is_at_rest(world, monkeypatch, which):
     prepared(world, which)
-    monkeypatch.setattr(ExecutionNews, "_news", fail)
+    monkeypatch.setattr(ExecutionNews, "_report_key", fail)
     assert act(world, which).success
     begin = len(setpoints(world))
     with pytest.raises(Unforeseen):

@@ -16,7 +16,7 @@ from typing import Any
 import pydantic
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.files import read_file, write_whole
+from construction_twin.core.files import read_file, write_atomically
 from construction_twin.core.records import to_json
 from construction_twin.core.reports import SpeedChange
 from construction_twin.core.sentences import Sentence, templates_of
@@ -165,7 +165,7 @@ class MessageBoard:
                 return
             self._written = self.messages
         try:
-            write_whole(self._file, to_json(self._written))
+            write_atomically(self._file, to_json(self._written))
         except OSError as error:
             self._refuse("messages", f"{self._file} was not written: {error.strerror or error}")
 

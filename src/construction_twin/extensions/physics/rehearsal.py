@@ -43,8 +43,8 @@ from construction_twin.review.rehearsal_report import (
     LooseObject,
     RehearsalReport,
     RehearsedContact,
-    finished,
     has_finite_numbers,
+    with_hash,
 )
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.trajectory import Trajectory
@@ -96,7 +96,7 @@ class Rehearsal:
         missing = [each for each in (*wanted, last) if each not in scenes]
         if missing:
             reason = Sentence("the scene {scene} that a segment needs is not known here", scene=missing[0][:12])
-            return finished(replace(named, reasons=(reason,)), clock() - begin)
+            return with_hash(replace(named, reasons=(reason,)), clock() - begin)
         ends = [segment.end for segment in plan.segments] or [plan.trajectory.duration]
         parts = [(scenes[scene], end) for scene, end in zip(wanted, ends)]
         run = _Run(self, plan.trajectory, parts, scenes[last])
@@ -106,7 +106,7 @@ class Rehearsal:
         except (ConstructionTwinError, mujoco.FatalError, ValueError) as error:
             reason = Sentence("the simulation broke off: {problem}", problem=" ".join(str(error).split()))
             found = replace(named, reasons=(reason,))
-        return finished(found, clock() - begin)
+        return with_hash(found, clock() - begin)
 
 
 #: What simulates.

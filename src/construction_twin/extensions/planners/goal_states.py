@@ -115,4 +115,4 @@ TABLE: tuple[Row, ...] = (
     *rows(_S.SETTLING, _E.CANCEL, _S.STOPPED, _A.PREEMPT),
 )
 
-ROWS = state_table.by_cause(TABLE)
+ROWS = state_table.rows_by_event(TABLE)

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.files import read_file, write_whole
+from construction_twin.core.files import read_file, write_atomically
 from construction_twin.extensions.work.building import Body, Element
 from construction_twin.extensions.work.errors import WorkError
 from construction_twin.robot.frames import rotation_to_quaternion
@@ -93,7 +93,7 @@ def _cached(body: Body, folder: Path) -> tuple[float, list[SceneObject]]:
         path.unlink(missing_ok=True)
     folder.mkdir(parents=True, exist_ok=True)
     reach, descriptions = _convex_objects(vertices, triangles, folder)
-    write_whole(path, json.dumps({"excess": reach, "pieces": descriptions}) + "\n")
+    write_atomically(path, json.dumps({"excess": reach, "pieces": descriptions}) + "\n")
     return reach, [_object(item, folder) for item in descriptions]
 
 
@@ -157,7 +157,7 @@ def _write_mesh(vertices: np.ndarray, triangles: np.ndarray, folder: Path) -> st
     lines += [f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist()]
     text = "\n".join([*lines, ""])
     name = f"{hashlib.sha256(text.encode()).hexdigest()}.obj"
-    write_whole(folder / name, text)
+    write_atomically(folder / name, text)
     return name
 
 

@@ -15,7 +15,7 @@ from types import MappingProxyType
 
 from construction_twin.core.append_only import AppendOnlyFile, read_lines
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.files import write_whole
+from construction_twin.core.files import write_atomically
 from construction_twin.extensions.work.errors import LedgerError
 from construction_twin.extensions.work.task_memory import (
     ACCEPTED,
@@ -299,7 +299,7 @@ class Ledger:
         path = self._bodies / name
         if path.exists() and path.read_bytes() == contents:
             return
-        write_whole(path, contents)
+        write_atomically(path, contents)
         for each in (path, self._bodies, self._bodies.parent):
             handle = os.open(each, os.O_RDONLY)
             try:

@@ -105,13 +105,13 @@ def events_of_report(
         return []
     events = _Events(memory, plan.id)
     if memory.state is TaskState.PLANNED:
-        if not report.playing and not report.ended:
+        if not report.playing and not report.final_outcome:
             return []
         if not memory.plan:
             events.add(TaskEvent.PLANNED)
         events.add(TaskEvent.BEGUN)
     # what lies behind, up to the present segment; a plan that has come to its end has been through everything
-    segment = 10**6 if report.ended == FINISHED else report.segment
+    segment = 10**6 if report.final_outcome == FINISHED else report.segment
     stands = report.at_boundary or report.wants_scene or confirmed
     confirmed = confirmed or (report.wants_scene and report.playing)
 
@@ -128,7 +128,7 @@ def events_of_report(
             events.add(event)
     if events.state is TaskState.RELEASING and behind(plan.releases, confirmed):
         events.add(TaskEvent.RELEASED, pose=built, source=source if built else "")
-    if report.ended:
+    if report.final_outcome:
         _end(events, plan, report, grip)
     return events.entries
 

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused, SilenceError
-from construction_twin.core.extensions import extension
-from construction_twin.core.files import write_whole
+from construction_twin.core.extensions import import_extension
+from construction_twin.core.files import write_atomically
 from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.msg import Execution, Rehearsal, Scene
 from construction_twin.robot.description import RobotModel
@@ -98,7 +98,7 @@ class Command:
         plan = listener.plan(newest.id)
         if plan is None:
             raise RequestRefused(listener.refused)
-        format_plan = extension("planners.waypoint_file").format_plan
+        format_plan = import_extension("planners.waypoint_file").format_plan
         if write_or_print(options.file, format_plan(plan, self._robot().linear, options.deg)):
             print(f"plan {plan.id}: {len(plan.trajectory.times)} waypoints in {options.file}")
         return Exit.DONE
@@ -124,7 +124,7 @@ class Command:
 
     def _work(self) -> Exit:
         """Do one step of the work from a building model; approving is as for every plan, once the plan is that of a task."""
-        work = extension("work.commands.twin_work").WorkCommand(self._options, account_name(), self._client)
+        work = import_extension("work.commands.twin_work").WorkCommand(self._options, account_name(), self._client)
         if self._options.step != "approve":
             return work.run()
         return self._approve(*work.plan_under_review())
@@ -192,7 +192,7 @@ class Command:
         from construction_twin.scene.self_collision import SelfCollision
 
         bodies = RobotBodies(self._robot())
-        planners = extension("planners.planner_scene")
+        planners = import_extension("planners.planner_scene")
         planning_scene = planners.planner_scene(bodies, scene, SelfCollision({}, ""))
         text, remarks = planners.scene_text(planning_scene, f"{self._options.robot} {scene.hash[:12]}")
         for remark in remarks:
@@ -331,7 +331,7 @@ def write_or_print(file: str, text: str) -> bool:
         print(text, end="")
         return False
     try:
-        write_whole(Path(file).absolute(), text)
+        write_atomically(Path(file).absolute(), text)
     except OSError as error:
         raise ConfigurationError(file, error.strerror or str(error), "a file that can be written") from error
     return True

@@ -15,7 +15,7 @@ from urdf_parser_py.urdf import Box, Cylinder, Mesh
 from visualization_msgs.msg import Marker
 
 from construction_twin.core.sentences import Quantity
-from construction_twin.core.units import axis_name, to_people
+from construction_twin.core.units import axis_name, to_display_unit
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.monitor.states import SyncState
 from construction_twin.review.rehearsal_report import BROKEN, FAILED, PASSED, AxisLoad, RehearsalReport
@@ -140,7 +140,7 @@ def worst_joint(
     if not rows:
         return ""
     _, name, error, threshold, unit = max(rows)
-    return f"{name} differs by {Quantity(error, unit):.3}, allowed {to_people(threshold, unit)[0]:.3f}"
+    return f"{name} differs by {Quantity(error, unit):.3}, allowed {to_display_unit(threshold, unit)[0]:.3f}"
 
 
 # -- a plan

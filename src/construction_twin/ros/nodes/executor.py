@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 import construction_twin.srv as srv
 from construction_twin import msg
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, ReviewError
-from construction_twin.core.extensions import extension
+from construction_twin.core.extensions import import_extension
 from construction_twin.core.files import check_writable
 from construction_twin.core.freshness import parse_moment, present_moment
 from construction_twin.core.reports import SessionRequest, SpeedChange, ToolReport
@@ -369,7 +369,7 @@ def check(settings: Settings, robot: RobotModel, *_: object) -> None:
     """Check permission and files; see `NodeShell`."""
     settings.check(robot)
     if settings.rehearsal == "require":
-        extension("physics")
+        import_extension("physics")
     tool_hash(settings.tool)
     check_writable(robot_file(settings.review_file, robot.name).parent)
 

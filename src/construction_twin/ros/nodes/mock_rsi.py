@@ -76,8 +76,8 @@ class MockRsiNode:
         if not due and not self._joints.has_subscribers:
             return
         # a node that reacts to the packet may be quicker than this thread
-        stamp = now_ns() - (time.monotonic_ns() - mock.left)
-        self._outbox.put((stamp, self._controller.true, self._snapshot(stamp) if due else None))
+        stamp = now_ns() - (time.monotonic_ns() - mock.sent_at)
+        self._outbox.put((stamp, self._controller.true_position, self._snapshot(stamp) if due else None))
 
     def _snapshot(self, stamp: int) -> dict:
         controller, linear = self._controller, self._robot.linear

@@ -313,7 +313,7 @@ class PcaMonitorNode:
                 acceleration_scale=wanted.acceleration_scale,
                 source=Sentence("re-plan after a hold"),
                 # not now: a person may have called `stop` since then, which this node has not heard of
-                asked=wanted.seen,
+                asked=wanted.last_played,
             )
         except rospy.ServiceException as error:
             problem: str = Sentence("the planner did not answer: {problem}", problem=str(error))

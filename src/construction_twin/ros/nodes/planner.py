@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger, TriggerRequest
 from trajectory_msgs.msg import JointTrajectory
 
 from construction_twin import msg, srv
-from construction_twin.core.extensions import extension
+from construction_twin.core.extensions import import_extension
 from construction_twin.core.freshness import parse_moment, present_moment
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
@@ -214,7 +214,9 @@ class PlannerNode:
         asked = plan_request(request, request.path)
         return self._through(
             asked,
-            lambda: extension("planners.waypoint_file").read_waypoints(request.path, self._robot, request.columns),
+            lambda: import_extension("planners.waypoint_file").read_waypoints(
+                request.path, self._robot, request.columns
+            ),
         )
 
     def on_plan_trajectory(self, request: srv.PlanTrajectoryRequest) -> Outcome:

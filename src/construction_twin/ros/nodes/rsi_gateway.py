@@ -12,7 +12,7 @@ import rospy
 
 from construction_twin.broker.start import ACCOUNTS
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.files import write_whole
+from construction_twin.core.files import write_atomically
 from construction_twin.gateway.command_line import check, read_arguments
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.stop_file import StopFile
@@ -62,7 +62,7 @@ def _hand_over() -> None:
     stops = stop_file(arm, path, config.robot)
     if arm == NEW_MOCK:
         rospy.set_param(ARM, MOCK)
-    write_whole(path, config.to_json())
+    write_atomically(path, config.to_json())
     rospy.signal_shutdown("handing over to the gateway")
     files = ["--config", str(path), "--stop-file", str(stops)]
     os.execv(sys.executable, [sys.executable, "-m", "construction_twin.gateway", *files, *arguments])

@@ -14,7 +14,7 @@ from visualization_msgs.msg import MarkerArray
 
 from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
-from construction_twin.core.extensions import ExtensionAbsent, extension
+from construction_twin.core.extensions import ExtensionAbsent, import_extension
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.ros.messages.convert import pose_from_msg
@@ -202,7 +202,7 @@ class SceneNode:
             rospy.loginfo("planning_scene is not published without moveit_msgs; `twin scene --moveit` writes a file")
             return None
         try:
-            moveit = extension("planners.nodes.planning_scene")
+            moveit = import_extension("planners.nodes.planning_scene")
         except ExtensionAbsent as error:
             rospy.loginfo("planning_scene is not published: %s", error)
             return None

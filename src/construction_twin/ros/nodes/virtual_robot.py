@@ -10,7 +10,7 @@ import rospy
 from sensor_msgs.msg import JointState
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.extensions import check_extras, extension
+from construction_twin.core.extensions import check_extras, import_extension
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.msg import Link, WorkTasks
@@ -63,7 +63,7 @@ class VirtualRobotNode:
         #: The twin with mass, of the extension physics.
         self._simulated: Any = None
         if is_simulated_here(settings):
-            simulated = extension("physics.nodes.simulated_twin")
+            simulated = import_extension("physics.nodes.simulated_twin")
             self._simulated = simulated.SimulatedTwin(settings, robot, node_io.diagnostics.refuse)
             self._backend = self._simulated.twin
         self._effort_at = 0
@@ -226,10 +226,10 @@ def check(settings: Settings, robot: RobotModel, *_: object) -> None:
         expected = "none with twin:=gazebo, whose world knows no payload; twin:=mujoco does"
         raise ConfigurationError("payload", settings.payload, expected)
     if shell.has_mass(settings):
-        extension("physics")
+        import_extension("physics")
     if is_simulated_here(settings):
         check_extras("physics")
-        extension("physics.nodes.simulated_twin").check(settings, robot)
+        import_extension("physics.nodes.simulated_twin").check(settings, robot)
 
 
 NODE = shell.NodeShell("virtual_robot", Settings, VirtualRobotNode, INTERFACE, check, fast=True)

@@ -14,7 +14,7 @@ import rospy
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import ConfigurationError, PayloadError
-from construction_twin.core.extensions import extension
+from construction_twin.core.extensions import import_extension
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.extensions.console.nodes.endpoint import Connection, IncomingRequest, NewestQueue, RequestQueue
@@ -149,7 +149,7 @@ class ConsoleRequests:
         connection.serve(IK, IkRequest, self._solve, self.poses)
         if max_trajectory_bytes:
             for kind in (NAMELESS_TRAJECTORY, TRAJECTORY):
-                read = partial(extension("planners.remote_trajectory").parse_trajectory, joints=joints)
+                read = partial(import_extension("planners.remote_trajectory").parse_trajectory, joints=joints)
                 connection.serve(replace(kind, limit=max_trajectory_bytes), read, self._check_motion, self.queue)
             connection.serve(PLAN_REQUEST, partial(read_goal, joints=joints), self._plan, self.queue)
 

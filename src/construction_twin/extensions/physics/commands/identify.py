@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.files import write_whole
+from construction_twin.core.files import write_atomically
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation.alignment import TwinPath
 from construction_twin.evaluation.recording import Recording
@@ -131,7 +131,7 @@ def main(arguments: list[str] | None = None) -> int:
         found = identify(recording.joint_names, drives, cycle_ns)
         directory.mkdir(parents=True, exist_ok=True)
         path = directory / "servos.yaml"
-        write_whole(path, servo_file(found, cycle_ns, options.bag.name))
+        write_atomically(path, servo_file(found, cycle_ns, options.bag.name))
         console.print(servo_table(found, cycle_ns))
         return [path]
 

@@ -14,7 +14,7 @@ import numpy as np
 import rospy
 
 from construction_twin.core.errors import ConstructionTwinError, command_message
-from construction_twin.core.extensions import check_extras, extension
+from construction_twin.core.extensions import check_extras, import_extension
 from construction_twin.core.freshness import Moment
 from construction_twin.core.records import json_value
 from construction_twin.core.share import share_file
@@ -106,7 +106,7 @@ def _trajectory(options: argparse.Namespace, robot: RobotModel) -> tuple[Traject
                 f"plan {plan.id} has other joints than {robot.name}; give --robot-xacro and --robot-config"
             )
         return plan.trajectory, plan.id
-    waypoints = extension("planners.waypoint_file").read_waypoints(str(options.plan.absolute()), robot)
+    waypoints = import_extension("planners.waypoint_file").read_waypoints(str(options.plan.absolute()), robot)
     start = waypoints.positions[0] if len(waypoints.positions) > 1 else np.array(robot.home)
     return plan_waypoints(waypoints, start, robot), ""
 

@@ -15,7 +15,7 @@ import pydantic
 import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.files import write_whole
+from construction_twin.core.files import write_atomically
 from construction_twin.extensions.physics.drive import read_drives
 from construction_twin.extensions.physics.gazebo_world import check_serial, world_of
 from construction_twin.msg import Scene as SceneMsg
@@ -81,9 +81,9 @@ class GazeboNode:
     def _write(self, scene: Scene) -> Path:
         world = world_of(self._bodies, scene, self._drives, self._folder, self._priority)
         for name, contents in world.meshes.items():
-            write_whole(self._folder / name, contents)
+            write_atomically(self._folder / name, contents)
         path = self._folder / "twin.world"
-        write_whole(path, world.sdf)
+        write_atomically(path, world.sdf)
         for remark in world.remarks:
             rospy.loginfo("%s", remark)
         return path

@@ -25,7 +25,7 @@ from construction_twin.extensions.physics.process import PROGRAM, RehearsalReque
 from construction_twin.msg import Plan as PlanMsg
 from construction_twin.msg import Rehearsal, Review, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
-from construction_twin.review.rehearsal_report import BROKEN, PASSED, RehearsalReport, finished, first_reason
+from construction_twin.review.rehearsal_report import BROKEN, PASSED, RehearsalReport, first_reason, with_hash
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.plan import Plan
@@ -208,7 +208,7 @@ class RehearsalNode:
             why = Sentence("it took longer than {limit:g} s", limit=self._time_limit) if self._late else str(error)
             reasons = (Sentence("the rehearsal broke off: {problem}", problem=why),)
             broken = RehearsalReport(job.plan.id, job.plan.hash, job.plan.scene, self._tool, "", BROKEN, reasons)
-            report = finished(broken, time.monotonic() - began)
+            report = with_hash(broken, time.monotonic() - began)
         with self._news:
             self._running = None
             superseded = self._superseded

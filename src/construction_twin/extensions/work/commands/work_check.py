@@ -30,7 +30,7 @@ from rich.table import Table
 
 from construction_twin.core.errors import ConstructionTwinError, command_message
 from construction_twin.core.extensions import check_extras
-from construction_twin.core.files import check_writable, write_whole
+from construction_twin.core.files import check_writable, write_atomically
 from construction_twin.core.share import share_file
 from construction_twin.core.worker import Worker, WorkerError, rss_mb
 from construction_twin.evaluation.tables import table_console
@@ -63,7 +63,7 @@ def main(arguments: list[str]) -> int:
             )
             for note in (*([proposed] if schedule.proposed else []), *checked.loaded.notes, *schedule.notes):
                 console.print(note, markup=False, soft_wrap=True)
-            write_whole(picture, cell_picture(checked.tasks, checked.loaded))
+            write_atomically(picture, cell_picture(checked.tasks, checked.loaded))
     except (ConstructionTwinError, OSError) as error:
         ended = isinstance(error, WorkerError) and not error.kind
         said = "a process was ended, perhaps for want of memory; try --processes 1" if ended else command_message(error)

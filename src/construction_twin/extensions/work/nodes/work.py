@@ -21,7 +21,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, RequestRefused
-from construction_twin.core.extensions import check_extras, extension
+from construction_twin.core.extensions import check_extras, import_extension
 from construction_twin.core.reports import EngagementReport, ExecutionReport
 from construction_twin.core.worker import Worker
 from construction_twin.extensions.work.as_built import Appearance
@@ -163,7 +163,7 @@ class WorkNode:
         settings, robot = self._settings, self._robot
         files = None
         if settings.private:
-            files = extension("console.private_files").PrivateFiles(ros_home() / settings.private, robot.name)
+            files = import_extension("console.private_files").PrivateFiles(ros_home() / settings.private, robot.name)
             files.drop_building()
         began, folder = time.monotonic(), ros_home() / settings.folder
         loaded: LoadedModel = self._worker.ask_first(
