@@ -60,7 +60,7 @@ class SenderLimits:
 
     def admit(self, sender: str, now: int) -> bool:
         """Return whether it may happen for a sender at `now`, and count it if so."""
-        may = not self.wait(sender, now)
+        may = not self.waiting_time(sender, now)
         if may:
             self._times.setdefault(sender, deque()).append(now)
         return may

@@ -71,7 +71,7 @@ class Settings(NodeSettings, GateSettings):
         return given
 
 
-class Rules(pydantic.BaseModel):
+class SilenceRules(pydantic.BaseModel):
     """What executor or gateway is told of a source that falls silent, among their other parameters; see config/executor.yaml."""
 
     speed_limit_deadline: float = pydantic.Field(GatewayConfig.speed_limit_deadline, gt=0)
@@ -90,7 +90,7 @@ class SpeedLimitService:
         rule_parameters = {
             name: node_io.parameters[name] for name in ("executor", "gateway") if node_io.parameters[name] is not None
         }
-        rules = [settings_of(Rules, given, rospy.resolve_name(name)) for name, given in rule_parameters.items()]
+        rules = [settings_of(SilenceRules, given, rospy.resolve_name(name)) for name, given in rule_parameters.items()]
         deadline = min(each.speed_limit_deadline for each in rules)
         silent = min(each.speed_limit_silent for each in rules)
         program = SpeedLimit(deadline, silent, rules[0].speed_limit_required)

@@ -161,7 +161,7 @@ class ArmListener:
 
 
 @dataclass(frozen=True)
-class Occupied:
+class OccupiedSpace:
     """The space that the other arm occupies: along the whole path of the plan that it follows, else where it is (`claim` None)."""
 
     claim: Claim | None
@@ -179,7 +179,7 @@ class OtherArm:
         self._rows, self._path = np.empty(0), tuple[Obstacle, ...]()
         self._known: tuple[SceneValue, str] | None = None
 
-    def occupied(self) -> Occupied:
+    def occupied(self) -> OccupiedSpace:
         """Return the space that it occupies, the same object while that is the same; NeighbourUnknownError if not known."""
         name, scene, claim = self._arm.name, self._listener.scene, self._listener.claim()
         if scene is None:
@@ -201,12 +201,12 @@ class OtherArm:
         except (PoseUnknownError, PayloadError) as error:
             raise NeighbourUnknownError(name, str(error)) from error
         if claim is None:
-            return Occupied(None, self._shape.space_between(ends[0], ends[-1]))
+            return OccupiedSpace(None, self._shape.space_between(ends[0], ends[-1]))
         away = max(float(np.abs(self._rows - end).max(axis=1).min()) for end in ends)
         if away > ON_PATH:
             beside = Sentence("a joint is {away:.3f} beside the path of plan {plan}", away=away, plan=claim.plan_id)
             raise NeighbourUnknownError(name, beside)
-        return Occupied(claim, self._path)
+        return OccupiedSpace(claim, self._path)
 
     def claim(self) -> Claim | None:
         """Return its claim; raises like `ArmListener.claim`."""

@@ -82,7 +82,7 @@ class Acts:
         self._connection, self._services = connection, services
         names = ("reject", "answer", *(kind.name for kind in (LOWER_SPEED, RAISE_SPEED, *PRESSED)))
         self.queues = {name: RequestQueue(WAITING) for name in names}
-        serve, verdicts = connection.serve, _Approvals(self.queues["reject"])
+        serve, verdicts = connection.serve, _ApprovalQueue(self.queues["reject"])
         self.queues["approve"] = verdicts
         serve(NAMELESS_REVIEW, NamelessVerdict, self._give_verdict, verdicts)
         serve(REVIEW, Verdict, self._give_verdict, verdicts)
@@ -146,7 +146,7 @@ class Acts:
         return Outcome.of(call_twice(self._services.limit_speed, "pca_monitor", **fields))
 
 
-class _Approvals(RequestQueue):
+class _ApprovalQueue(RequestQueue):
     """Where approvals wait; a rejection among the verdicts waits elsewhere."""
 
     def __init__(self, rejections: RequestQueue):
