@@ -56,9 +56,8 @@ def _parsed_sentences(said: str) -> Mapping[str, Sentence]:
 
 
 def _record(kind: Any, message: Any, known: Mapping[str, Sentence]) -> Any:
-    return kind(
-        **{name: _record_value(hint, _value(message, name), known) for name, hint in _hints(kind, type(message))}
-    )  # type: ignore[arg-type]  # a class is hashable
+    hints = _hints(kind, type(message))  # type: ignore[arg-type]  # a class is hashable
+    return kind(**{name: _record_value(hint, _value(message, name), known) for name, hint in hints})
 
 
 def _message(record: Any, kind: type[genpy.Message]) -> Any:
