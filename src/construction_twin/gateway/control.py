@@ -330,7 +330,7 @@ class CommandHandler:
 
     def refusal_of_second_session(self, occasion: Occasion) -> str:
         """Return that another session is armed; "" where it is this one."""
-        session = self._gateway.session
+        session = self._gateway.command_session
         refusal = Sentence("armed for session {session}; stop and reset first", session=session)
         return "" if occasion.session == session else refusal
 
@@ -402,7 +402,7 @@ class CommandHandler:
 
     def refusal_of_owner_reset(self, occasion: Occasion) -> str:
         """Return what speaks against a reset while a session commands: it must be that one's."""
-        session = self._gateway.session
+        session = self._gateway.command_session
         if occasion.session != session:
             # also the owner's own next session asks too early sometimes: no intruder yet
             return Sentence("session {session} commands; stop it, or wait until its stream has ended", session=session)

@@ -146,7 +146,7 @@ class ControllerSocket:
             self._held_channels = holding
             ending = encoder.template(True, tool.channels(ending=True))
             self.last_resort.set_templates(encoder.template(None, holding), ending)
-        return tool.channels(ending=True) if self._gateway.ends else holding
+        return tool.channels(ending=True) if self._gateway.ends_program else holding
 
     def _send(self, reply: bytes, source: tuple) -> None:
         try:
