@@ -112,7 +112,7 @@ def test_the_mock_does_what_the_context_does(before, replies, held):
     graph.step()
     for reply in replies:
         if reply is None:
-            mock.miss()
+            mock.on_missed_reply()
             graph.channels[vacuum] = graph.channels.get(vacuum, False) and held
         else:
             mock.on_reply(reply)

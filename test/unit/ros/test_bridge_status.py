@@ -62,7 +62,7 @@ def test_playout_mode_and_intruder_reach_link_and_diagnostics(bench):
 def test_what_the_controller_says_against_a_motion_stands_in_link_and_diagnostics(bench):
     bench.connect()
     stopped = RsiStatus(3, 4, 100.0)
-    status = following().gateway.status() | {"controller": stopped.report()}
+    status = following().gateway.status() | {"controller": stopped.status_fields()}
     shown = bench.shown(status)
     assert (shown["controller_mode"], shown["controller_program"]) == ("AUT", "STOP")
     assert (shown["controller_override_percent"], shown["controller_sentence"]) == ("100", stopped.sentence)

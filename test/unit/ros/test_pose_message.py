@@ -131,7 +131,7 @@ class Topic:
         self.refused.append(reason)
         self.sentence = sentence
 
-    def receive(self, message, caller: str = "/executor", kind: type | None = None) -> None:
+    def deliver(self, message, caller: str = "/executor", kind: type | None = None) -> None:
         """Take a message as rospy hands it on."""
         read = from_wire(on_wire(message), kind or self.kind)
         read._connection_header = {"callerid": caller}
@@ -141,34 +141,34 @@ class Topic:
 class TestSubscriber:
     def test_hands_on_a_stream(self, monkeypatch):
         topic = Topic(monkeypatch)
-        topic.receive(PoseMessage(JointState, NAMES).outgoing_message(5, (1.0, 2.0, 3.0)))
-        topic.receive(joint_state(6, (1.0, 2.0, 3.0)))
+        topic.deliver(PoseMessage(JointState, NAMES).outgoing_message(5, (1.0, 2.0, 3.0)))
+        topic.deliver(joint_state(6, (1.0, 2.0, 3.0)))
         # of the class of another subscriber of the process, which was there first
-        topic.receive(joint_state(7, (1.0, 2.0, 3.0)), kind=JointState)
+        topic.deliver(joint_state(7, (1.0, 2.0, 3.0)), kind=JointState)
         assert topic.poses == [(stamp, (1.0, 2.0, 3.0)) for stamp in (5, 6, 7)] and topic.refused == []
 
     def test_puts_other_orders_right(self, monkeypatch):
         topic = Topic(monkeypatch)
-        topic.receive(joint_state(5, (3.0, 2.0, 1.0), name=list(NAMES[::-1]), velocity=(0.0,) * 3))
+        topic.deliver(joint_state(5, (3.0, 2.0, 1.0), name=list(NAMES[::-1]), velocity=(0.0,) * 3))
         assert topic.poses == [(5, (1.0, 2.0, 3.0))]
 
     def test_hands_on_feedback(self, monkeypatch):
         topic = Topic(monkeypatch, Feedback)
-        topic.receive(PoseMessage(Feedback, NAMES).outgoing_message(5, (1.0, 2.0, 3.0), 8, 3 * NANOSECONDS + 1))
+        topic.deliver(PoseMessage(Feedback, NAMES).outgoing_message(5, (1.0, 2.0, 3.0), 8, 3 * NANOSECONDS + 1))
         other = feedback(6, (3.0, 2.0, 1.0), 9, 4)
         other.name = list(NAMES[::-1])
-        topic.receive(other)
+        topic.deliver(other)
         assert topic.poses == [(5, (1.0, 2.0, 3.0), 8, 3 * NANOSECONDS + 1), (6, (1.0, 2.0, 3.0), 9, 4)]
 
     @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
     @pytest.mark.parametrize("velocity", [(), (0.0,) * 3], ids=["stream", "other"])
     def test_refuses_what_is_no_number(self, monkeypatch, bad, velocity):
         topic = Topic(monkeypatch)
-        topic.receive(joint_state(5, (1.0, bad, 3.0), velocity=velocity))
+        topic.deliver(joint_state(5, (1.0, bad, 3.0), velocity=velocity))
         assert topic.poses == [] and topic.refused == ["values"]
 
     @pytest.mark.parametrize("case", ["other names", "fewer", "none", "names of the same length"])
     def test_refuses_other_joints(self, monkeypatch, case):
         topic = Topic(monkeypatch)
-        topic.receive(joint_state(5, (1.0, 2.0, 3.0) if "position" not in OTHERS[case] else (), **OTHERS[case]))
+        topic.deliver(joint_state(5, (1.0, 2.0, 3.0) if "position" not in OTHERS[case] else (), **OTHERS[case]))
         assert topic.poses == [] and topic.refused == ["names"]
