@@ -37,7 +37,7 @@ def stop(gateway_cell: Cell, way: str) -> tuple[bool, str]:
     [
         (StopReport, "begin", WAYS),
         (StopReport, "advance", WAYS),
-        (SenderLimits, "take", ("account",)),
+        (SenderLimits, "admit", ("account",)),
         (Ownership, "is_repeated", ("control",)),
     ],
 )
@@ -100,7 +100,7 @@ def test_a_running_gateway_answers_counts_and_says_it(
 
 
 @pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("owner, name", [(Playout, "report"), (Gateway, "status")])
+@pytest.mark.parametrize("owner, name", [(Playout, "status_fields"), (Gateway, "status")])
 def test_a_status_that_cannot_be_made_fails_no_gateway_that_stops(broker, topics, monkeypatch, way, owner, name):
     with cell(broker, topics, config=PATIENT) as (service, controller, client):
         assert client.arm(PATIENT)["ok"]
