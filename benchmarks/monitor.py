@@ -99,7 +99,7 @@ def hour(model: ServoModel, duration: float) -> dict:
     work, softer = Work(chain, 3), itertools.cycle((0.0, 0.03, 0.01, 0.02))
     begin, started = chain.now, time.monotonic()
     work.run(duration, lambda number: servo.carry(next(softer)) if number % 20 == 0 else None)
-    watch = chain.gate.watch_of_servos
+    watch = chain.gate.servo_watch
     return {
         "simulated_s": (chain.now - begin) // NANOSECONDS,
         "took_s": rounded(time.monotonic() - started),
@@ -125,7 +125,7 @@ def other_arm(duration: float) -> dict:
         "avg_rad": by_joint(work.average),
         "threshold_rad": rounded(float(work.largest.max())),
         "holds": work.holds,
-        "judged": chain.gate.watch_of_servos.judged,
+        "judged": chain.gate.servo_watch.judged,
     }
 
 

@@ -13,10 +13,10 @@ from sensor_msgs.msg import Range
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.robot.description import RobotModel
-from construction_twin.ros.shared.diagnostics import OK, WARN, NodeDiagnostics, Report
-from construction_twin.ros.shared.node_shell import Every, Interface, NodeShell, Ports, Publication, Subscription
+from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis, NodeDiagnostics
+from construction_twin.ros.shared.node_shell import Interface, NodeIO, NodeShell, NodeTimer, Publication, Subscription
 from construction_twin.ros.transport.joint_stream import from_time
-from construction_twin.ros.transport.publisher import Sink
+from construction_twin.ros.transport.publisher import AnyPublisher
 
 
 class Settings(pydantic.BaseModel):
@@ -39,7 +39,7 @@ class SeparationNode:
     def __init__(
         self,
         separation: SeparationLimit,
-        speed_limit: Sink,
+        speed_limit: AnyPublisher,
         diagnostics: NodeDiagnostics,
     ):
         self._separation = separation
@@ -70,24 +70,24 @@ class SeparationNode:
         self._publisher.publish(message)
         self._said = (reason, limit)
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         reason, limit = self._said
         level = OK if limit >= 1.0 else WARN
-        return Report(level, f"speed limit {limit:g}: {reason}", {"speed limit": f"{limit:.3f}"})
+        return Diagnosis(level, f"speed limit {limit:g}: {reason}", {"speed limit": f"{limit:.3f}"})
 
 
-def start(settings: Settings, robot: RobotModel, ports: Ports) -> SeparationNode:
+def start(settings: Settings, robot: RobotModel, node_io: NodeIO) -> SeparationNode:
     """Return the node with its parameters and topics."""
     limit = SeparationLimit(SpeedTable(settings.table), settings.deadline)
-    return SeparationNode(limit, ports.publishers["speed_limit"], ports.diagnostics)
+    return SeparationNode(limit, node_io.publishers["speed_limit"], node_io.diagnostics)
 
 
 INTERFACE = Interface(
-    report=SeparationNode.report,
+    diagnose=SeparationNode.diagnose,
     publishes=(Publication("speed_limit", SpeedLimit, queue_size=1, latch=True, tcp_nodelay=True),),
-    hears=(Subscription("separation_distance", Range, SeparationNode.on_range, queue_size=1, tcp_nodelay=True),),
-    every=(Every(lambda settings: 1.0 / settings.rate, SeparationNode.update),),
+    subscribes=(Subscription("separation_distance", Range, SeparationNode.on_range, queue_size=1, tcp_nodelay=True),),
+    timers=(NodeTimer(lambda settings: 1.0 / settings.rate, SeparationNode.update),),
 )
 NODE = NodeShell("separation", Settings, start, INTERFACE, lambda settings, _robot, _shared: SpeedTable(settings.table))
 

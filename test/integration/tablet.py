@@ -8,7 +8,7 @@ from pathlib import Path
 
 from twin_client import wait
 
-from construction_twin.core.freshness import present
+from construction_twin.core.freshness import present_moment
 from construction_twin.mqtt.client import Broker, load_account, make_client, subscriptions, unique_id
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import REVIEW
@@ -51,7 +51,7 @@ class Tablet:
     def moment(self) -> str:
         """What whoever starts something repeats: of the newest view; the present one where no console_node tells any."""
         heard = self.heard[self._topics.view]
-        return json.loads(heard[-1][0])["moment"] if heard else str(present())
+        return json.loads(heard[-1][0])["moment"] if heard else str(present_moment())
 
     def answer(self, payload: bytes, retain: bool = False) -> dict:
         """Publish on `review/<account>`; return the answer."""

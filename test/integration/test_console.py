@@ -17,7 +17,7 @@ import rostest
 from construction_twin.msg import Execution
 from twin_client import LEFT, RobotTest, Stream, TwinClient, wait
 
-from construction_twin.core.freshness import parse_moment, present, staleness
+from construction_twin.core.freshness import parse_moment, present_moment, staleness
 from construction_twin.core.units import from_wire
 from construction_twin.extensions.console.remote_view import COMPATIBLE, VERSION
 from construction_twin.kinematics.chain import Chain
@@ -174,7 +174,7 @@ class ConsoleTest(RobotTest):
         wait(lambda: console.newest("view")["plan"] == plan["id"], "the plan in the view")
         wait(lambda: console.line("execution").get("who") == "reviewer", "the reviewer on the status line")
         shown = console.moment
-        wait(lambda: staleness(parse_moment(shown), present()), "what was shown to be too old")
+        wait(lambda: staleness(parse_moment(shown), present_moment()), "what was shown to be too old")
         late = console.verdict(plan, "approved", shown)
         self.assertEqual((late["ok"], late["expired"]), (False, True), late)
         self.assertIn("look again", late["reason"])

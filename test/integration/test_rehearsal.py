@@ -12,7 +12,7 @@ from construction_twin.srv import AddObject, AttachObject, DetachObject, RemoveO
 from geometry_msgs.msg import Point, Pose, Quaternion
 from twin_client import HOME, RIGHT, RehearsedClient, RobotTest, wait
 
-from construction_twin.review.rehearsal_report import FAILED, PASSED, finished
+from construction_twin.review.rehearsal_report import FAILED, PASSED, with_hash
 from construction_twin.ros.messages.records import to_msg
 
 #: Edges of a block of 240 kg at the density that an unknown material is given: twice what the arm is rated for [m].
@@ -33,7 +33,7 @@ class RehearsalTest(RobotTest):
     def test_2_a_result_of_another_node_counts_for_nothing(self):
         plan = self.client.plan_to(RIGHT)
         real = self.client.rehearsed(plan.plan_id)
-        forged = finished(replace(real, state=FAILED, reasons=("a stranger says so",)), 0.1)
+        forged = with_hash(replace(real, state=FAILED, reasons=("a stranger says so",)), 0.1)
         publisher = rospy.Publisher("rehearsal", Rehearsal, queue_size=1)
         wait(lambda: publisher.get_num_connections() >= 2, "the executor to connect")
 

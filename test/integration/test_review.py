@@ -11,7 +11,7 @@ from sensor_msgs.msg import JointState
 from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, case, wait
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.extensions import extension, node_modules
+from construction_twin.core.extensions import import_extension, node_modules
 from construction_twin.core.units import radians
 
 #: Cycles over which an arm that must not move is watched.
@@ -40,7 +40,7 @@ class ReviewTest(RobotTest):
     def test_no_extension_is_there(self):
         """Whatever else these tests show, it holds without extensions: none of their nodes is one of ROS."""
         with self.assertRaisesRegex(ConfigurationError, "which this installation is without"):
-            extension("planners.waypoint_file")
+            import_extension("planners.waypoint_file")
         of_extensions = {name for name, module in node_modules().items() if ".extensions." in module}
         running = {name.rpartition("/")[2] for name in rosnode.get_node_names()}
         self.assertFalse(of_extensions & running)

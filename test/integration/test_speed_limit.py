@@ -80,7 +80,7 @@ class Sensor:
         table = rospy.get_param("separation/table")
         self._distances, self._fractions = zip(*table)
 
-    def say(self, fraction: float) -> None:
+    def publish_limit(self, fraction: float) -> None:
         """Report the distance at which this fraction of the planned speed is allowed."""
         self._distance = float(np.interp(fraction, self._fractions, self._distances))
 
@@ -126,7 +126,7 @@ class SpeedLimitTest(unittest.TestCase):
     def test_slows_down_on_the_path_speeds_up_again_and_ends_at_the_goal(self):
         self.client.wait(lambda: self.client.execution is not None, "the executor")
         self.client.wait(lambda: self.client.execution.speed_limit == 0.0, "the fraction of a sensor that says nothing")
-        self.sensor.say(1.0)
+        self.sensor.publish_limit(1.0)
         self.client.wait_until_ready()
         self.client.wait(lambda: self.client.execution.speed_limit == 1.0, "the sensor's limit")
         missed = self.client.mock_counter("missed")
@@ -136,7 +136,7 @@ class SpeedLimitTest(unittest.TestCase):
             plan = self.client.plans[-1]
             top = np.abs([point.velocities for point in plan.trajectory.points]).max(axis=0)
             wait(lambda: arm.moved(4.0), "the arm to move")
-            self.sensor.say(0.2)
+            self.sensor.publish_limit(0.2)
             self.wait_for_rate(0.2)
             self.assertTrue((self.arm_speed(arm) <= 0.2 * top + ROUNDING / CYCLE / 10).all())
             self.stands_still_and_goes_on(arm, twin)
@@ -160,7 +160,7 @@ class SpeedLimitTest(unittest.TestCase):
             self.client.wait(stream.at_rest, "the rest on the path")
         self.assertIn("stands still", self.client.execution.reason)
         self.assertIn("no separation distance", self.client.execution.reason)
-        self.sensor.say(0.5)
+        self.sensor.publish_limit(0.5)
         self.wait_for_rate(0.5)
         self.assertIn("at 50% of the planned speed", self.client.execution.reason)
         self.assertNotIn("stands still", self.client.execution.reason)
@@ -178,7 +178,7 @@ class SpeedLimitTest(unittest.TestCase):
             )
         finally:
             os.kill(pid, signal.SIGCONT)
-        self.sensor.say(1.0)
+        self.sensor.publish_limit(1.0)
         self.wait_for_rate(1.0)
 
     def goes_as_fast_as_a_person_lets_it(self, arm: Stream, top: np.ndarray) -> None:
@@ -192,9 +192,9 @@ class SpeedLimitTest(unittest.TestCase):
         self.assertIn("dora has limited the speed to 30%", self.client.execution.reason)
         tablet.raise_to(0.6)
         self.wait_for_rate(0.6)
-        self.sensor.say(0.4)
+        self.sensor.publish_limit(0.4)
         self.wait_for_rate(0.4)
-        self.sensor.say(1.0)
+        self.sensor.publish_limit(1.0)
         tablet.raise_to(1.0)
         self.wait_for_rate(1.0)
         tablet.vanish()

@@ -82,13 +82,13 @@ class Refusals:
         self.refused[reason] += 1
 
 
-def open_ports(diagnostics, mirrors=False, waits="", keep=lambda name, value: None) -> SimpleNamespace:
+def open_node_io(diagnostics, mirrors=False, waits="", keep=lambda name, value: None) -> SimpleNamespace:
     """Return ports whose publishers are lists, by topic, and what an earlier bridge has kept; `keep` takes name and value."""
     return SimpleNamespace(
         publishers=defaultdict(Published),
         diagnostics=diagnostics,
         parameters={"gateway": {}, MIRROR_MODE: mirrors, WAITS: waits},
-        keeper=lambda name: lambda value: keep(name, value),
+        parameter_writer=lambda name: lambda value: keep(name, value),
     )
 
 
@@ -99,7 +99,7 @@ class BridgeBench:
         diagnostics: Takes what reports of the bridge; returns what counts.
         properties: Bool. Whether the link carries user properties.
         kind: Str. ``rsi`` or ``plc``: what takes the commands.
-        kept: As of `open_ports`.
+        kept: As of `open_node_io`.
     """
 
     def __init__(self, clocks, diagnostics=Refusals, properties=True, kind="rsi", **kept):
@@ -119,12 +119,12 @@ class BridgeBench:
         self.commands = True
 
         self._codec, self._states = codec, 0
-        self.diagnostics = diagnostics(lambda: self.bridge.report())
-        ports = open_ports(self.diagnostics, **kept)
+        self.diagnostics = diagnostics(lambda: self.bridge.diagnose())
+        node_io = open_node_io(self.diagnostics, **kept)
         topics = ("physical/joint_states", "link", "tool", "session_request")
-        self.physical, self.links, self.tools, self.asked = (ports.publishers[topic] for topic in topics)
+        self.physical, self.links, self.tools, self.asked = (node_io.publishers[topic] for topic in topics)
         self.bridge = MqttBridge(
-            settings, Topics("twin", "arm"), config, codec, Broker("127.0.0.1", 1), self.client, ports
+            settings, Topics("twin", "arm"), config, codec, Broker("127.0.0.1", 1), self.client, node_io
         )
         self.gateway = {
             "state": "ready", "reason": "", "session": "", "run": RUN, "fault_number": 0, "hash": config.hash,

@@ -47,7 +47,7 @@ def dense_search(chain: Chain) -> Callable[[Problem], float]:
 
     def solve(task: Problem, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return joint values, shape (m, 8, 7), and their distances from the seed, shape (m, 8); inf: none in range."""
-        first, second = (arm.flange(carriage.seen_from(task.pose, position)) for position in (0.0, 1.0))
+        first, second = (arm.flange(carriage.target_from_carriage(task.pose, position)) for position in (0.0, 1.0))
         flanges = first + positions[:, None, None] * (second - first)
         q = np.concatenate(
             [np.broadcast_to(positions[:, None, None], (len(positions), 8, 1)), arm.branches(flanges).q], axis=2

@@ -209,7 +209,7 @@ class Bench:
     def _serve(self) -> None:
         """What others do for a work plan, between two cycles."""
         executor, work = self.executor, self.executor.segment_run
-        orders = executor.take_orders()
+        orders = executor.pop_orders()
         if self.tool is not None:
             for order in orders:
                 self.tool.take(order)

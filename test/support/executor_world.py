@@ -50,7 +50,7 @@ class World:
         patch(module.time, "monotonic_ns", lambda: self.steady)
         #: The robot's clock that nobody sets [ns].
         self.booted = 7_000 * NANOSECONDS
-        patch(module, "present", lambda: Moment("c0ffee00", self.booted))
+        patch(module, "present_moment", lambda: Moment("c0ffee00", self.booted))
         patch(module, "Cycles", self.grid)
         patch(rospy, "get_time", lambda: self.wall / NANOSECONDS)
         patch(rospy.Time, "now", lambda: to_time(self.wall))
@@ -64,12 +64,12 @@ class World:
     def open(self, **settings) -> None:
         """Start the node, with other settings than before."""
         self.settings |= settings
-        ports = SimpleNamespace(
+        node_io = SimpleNamespace(
             publishers={each.topic: self.topic(each.topic) for each in module.INTERFACE.publishes},
             connections=lambda topic: 1,
             diagnostics=SimpleNamespace(refuse=self.refuse),
         )
-        self.node = module.ExecutorNode(module.Settings(**self.settings), ROBOT, ports)
+        self.node = module.ExecutorNode(module.Settings(**self.settings), ROBOT, node_io)
         self.executor, self.log = self.node.executor, self.node._log
         self.logged.clear()
 
@@ -77,9 +77,9 @@ class World:
         """Count what is refused."""
         self.refused.append(said)
 
-    def hear(self, topic: str, message) -> None:
+    def receive(self, topic: str, message) -> None:
         """Let a message come in, as `Subscriber` hands it on."""
-        (heard,) = (each for each in module.INTERFACE.hears if each.topic == topic)
+        (heard,) = (each for each in module.INTERFACE.subscribes if each.topic == topic)
         try:
             heard.handler(self.node, message)
         except ProtocolError as error:
@@ -91,7 +91,7 @@ class World:
 
     def offer(self, plan) -> None:
         """Let a plan come in."""
-        self.hear("plan", plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
+        self.receive("plan", plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3))))
 
     def review(self, plan, approve: bool = True, reviewer: str = "Ada", reason: str = "", moment: str = ""):
         """Give a verdict; return the answer."""

@@ -36,7 +36,7 @@ class Frames:
     switched_holdon: ClassVar[tuple] = ()
     outputs: ClassVar[tuple] = ()
     inputs: ClassVar[tuple] = ()
-    not_filled: ClassVar[tuple] = ()
+    unfilled: ClassVar[tuple] = ()
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class Rules:
 
     follows = False
 
-    def drifted(self, distance: str) -> str:
+    def drift_sentence(self, distance: str) -> str:
         return distance
 
     def __init__(self, setup):
@@ -112,7 +112,7 @@ class Rules:
             ((), f"{off} off the target that it follows: joined a running session") if off else (telegram.measured, "")
         )
 
-    def restarted(self, telegram, origin, correction, moving) -> str:
+    def restart_sign(self, telegram, origin, correction, moving) -> str:
         return ""
 
 

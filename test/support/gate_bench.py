@@ -24,7 +24,7 @@ def moved(q: tuple[float, ...], distance: float) -> tuple[float, ...]:
 
 def states(gate: Gate) -> list[tuple[str, str]]:
     """Return the gate's transitions since the last call: event and new state."""
-    return [(change.event.value, change.target.name) for change in gate.take_transitions()]
+    return [(change.event.value, change.target.name) for change in gate.pop_transitions()]
 
 
 class Bench:

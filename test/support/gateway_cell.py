@@ -63,7 +63,7 @@ class Cell:
     def telegram(self, **changes):
         telegram = Telegram(self.ipoc, self.measured, self.setpoint, self.delay)
         if self._measures:
-            self.gateway.clock.note(self.ipoc, self.now)
+            self.gateway.clock.on_telegram(self.ipoc, self.now)
         reply = self.gateway.on_telegram(dataclasses.replace(telegram, **changes), self.source, self.now)
         if reply is not None:
             self.measured = tuple(start + value for start, value in zip(self.setpoint, reply))

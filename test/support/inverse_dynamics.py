@@ -27,9 +27,9 @@ class InverseDynamics:
         physics, data = self._physics, self._data
         model, joints = physics.model, physics.joints
         data.qpos[joints], data.qvel[joints] = q, speed
-        physics.follow(data)
+        physics.set_followers(data)
         data.qacc[joints] = acceleration
-        physics.lead(data.qacc)
+        physics.set_follower_rates(data.qacc)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)

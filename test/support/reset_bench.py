@@ -134,7 +134,7 @@ class ResetBench:
         self.at(self.now + self.down, lambda: self.supervisor.inputs.on_status(status, self.now))
 
     def _tell_change(self) -> None:
-        if self.gateway.take_change():
+        if self.gateway.pop_change():
             self.tell()
 
     def _command(self) -> None:

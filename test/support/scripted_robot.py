@@ -19,8 +19,8 @@ from processes import ROOT
 from read_requests import read_message
 
 from construction_twin.core.errors import ExpiredError, PayloadError
-from construction_twin.core.freshness import Moment, parse_moment, present, staleness
-from construction_twin.core.records import SPACED, dumped
+from construction_twin.core.freshness import Moment, parse_moment, present_moment, staleness
+from construction_twin.core.records import SPACED, to_json
 from construction_twin.core.reports import ExecutionReport, LinkReport, SyncReport
 from construction_twin.core.speed_limit import SpeedLimit
 from construction_twin.extensions.console.remote_review import (
@@ -31,21 +31,21 @@ from construction_twin.extensions.console.remote_review import (
 )
 from construction_twin.extensions.console.remote_view import (
     ClosestView,
+    FreshReport,
     PoseView,
-    Seen,
-    Shown,
+    ViewInputs,
     ViewWriter,
 )
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.link.requests import (
+    ButtonPress,
     IkRequest,
     Joints,
     LowerSpeed,
     Override,
-    Pressed,
-    PressedAsSeen,
     RaiseSpeed,
+    StampedButtonPress,
     Verdict,
     read,
     read_document,
@@ -109,7 +109,7 @@ class ScriptedRobot:
     Args:
         broker: With the account of the robot's bridge.
         name: In the topics.
-        period: Of `view` [s]; 0: only when `say` is called.
+        period: Of `view` [s]; 0: only when `publish_view` is called.
 
     Attributes:
         heard: What came: topic below the robot's, payload.
@@ -143,7 +143,7 @@ class ScriptedRobot:
         self.urgent: list[dict] = []
         #: How much older than it is what comes shall count [s]: as if it had lain on its way.
         self.delay = 0.0
-        self.speed_limits = SpeedLimits(SpeedLimit(0.5), NOBODY, present())
+        self.speed_limits = SpeedLimits(SpeedLimit(0.5), NOBODY, present_moment())
         self._chain = Chain(self.robot)
         self._inverse = inverse_kinematics(self._chain, IkSettings(), np.random.default_rng(0), time.monotonic)
         self._names = tuple(self.robot.joint_names)
@@ -199,7 +199,7 @@ class ScriptedRobot:
             self.trajectory = bent_motion(self.twin.copy(), np.asarray(goal, dtype=float), self._names, duration)
             self.plan = self._view_of(self.trajectory, f"{self.name}-{self._numbers}", source)
             self._publish(self._topics.plan, self.plan.to_json(200), retain=True)
-            self.say()
+            self.publish_view()
             return self.plan
 
     def take_plan_away(self) -> None:
@@ -208,7 +208,7 @@ class ScriptedRobot:
             self.plan, self.obstacle = None, ""
             self._publish(self._topics.plan, b"", retain=True)
             self._publish(self._topics.rehearsal, b"", retain=True)
-            self.say()
+            self.publish_view()
 
     def show_rehearsal(self, report: RehearsalReport, obstacle: str = "") -> None:
         """Say what a rehearsal of the plan under review has found, and why that is against approving it."""
@@ -216,8 +216,8 @@ class ScriptedRobot:
             assert self.plan is not None
             report = replace(report, plan_id=self.plan.id, plan_hash=self.plan.hash)
             self.obstacle = obstacle
-            self._publish(self._topics.rehearsal, dumped(report, marks=SPACED), retain=True)
-            self.say()
+            self._publish(self._topics.rehearsal, to_json(report, separators=SPACED), retain=True)
+            self.publish_view()
 
     def play(self) -> None:
         """Play the plan under review, as after an approval."""
@@ -252,22 +252,22 @@ class ScriptedRobot:
         document = {"hash": f"{len(objects):064d}", "frame": "base_link", "padding": 0.01, "objects": list(objects)}
         self._publish(self._topics.scene, json.dumps(document).encode(), retain=True)
 
-    def say(self) -> None:
+    def publish_view(self) -> None:
         """Publish a view of now."""
         with self._lock:
             now = time.time_ns()
             stamp = now / 1e9
             plan = self.trajectory
             progress = 0.0 if plan is None or not self._playing else min(1.0, self._elapsed / plan.duration)
-            seen = Seen(
+            seen = ViewInputs(
                 twin=PoseView(stamp, 0.0, tuple(self.twin)),
                 arm=PoseView(self.arm_stamp or stamp, 0.0, tuple(self.twin + self.arm_error)),
                 expected=None
                 if self.expected_error is None
                 else PoseView(stamp, 0.0, tuple(self.twin + self.expected_error)),
                 sync=self._sync(),
-                link=Shown(self.link, 0.0),
-                execution=Shown(
+                link=FreshReport(self.link, 0.0),
+                execution=FreshReport(
                     ExecutionReport(
                         self.state,
                         "",
@@ -284,9 +284,9 @@ class ScriptedRobot:
                 plan="" if self.plan is None else self.plan.id,
                 closest=ClosestView(0.31, ("link_4", "table"), tuple(self.tool(self.twin)), 0.0),
                 progress=progress,
-                speed=self.speed_limits.report(time.monotonic_ns()),
+                speed=self.speed_limits.state_report(time.monotonic_ns()),
             )
-            payload = self._writer.write(now, seen, present())
+            payload = self._writer.write(now, seen, present_moment())
         self._client.publish(self._topics.view, payload)
 
     def tool(self, positions: Sequence[float]) -> tuple[float, ...]:
@@ -308,13 +308,13 @@ class ScriptedRobot:
     def _publish(self, topic: str, payload: bytes, retain: bool = False) -> None:
         self._client.publish(topic, payload, qos=1, retain=retain)
 
-    def _sync(self) -> Shown[SyncReport]:
+    def _sync(self) -> FreshReport[SyncReport]:
         error = np.abs(self.arm_error)
         agreed = bool(np.all(error < _THRESHOLD))
         state, reason = ("IN_SYNC", "") if agreed else ("HOLDING", "the arm does not follow")
         threshold = (_THRESHOLD,) * len(error)
         report = SyncReport(state, reason, "stop", "", tuple(error), threshold, 0.0082, 0.02, agreed=agreed)
-        return Shown(report, 0.0)
+        return FreshReport(report, 0.0)
 
     def _screen(self) -> bytes:
         if self.lines is not None:
@@ -356,7 +356,7 @@ class ScriptedRobot:
             if self.silent:
                 continue
             if self._period:
-                self.say()
+                self.publish_view()
             if time.monotonic() - said >= SCREEN:
                 said = time.monotonic()
                 self._publish(self._topics.screen, self._screen())
@@ -465,7 +465,7 @@ class ScriptedRobot:
         by = (GATEWAY, EXECUTOR) if verb == "stop" else (EXECUTOR,)
         try:
             document = read_document(payload, retained, verb, kind.limit)
-            asked = read(PressedAsSeen if verb == "resume" else Pressed, document, verb)
+            asked = read(StampedButtonPress if verb == "resume" else ButtonPress, document, verb)
         except PayloadError as error:
             for each in by:
                 self._answer(kind, account, False, str(error), by=each)
@@ -501,7 +501,7 @@ class ScriptedRobot:
             self._answer(requests.PLAN_REQUEST, account, False, reason, **known)
 
     def _on_speed(self, kind: RequestKind, account: str, payload: bytes, retained: bool) -> None:
-        id_, now = "", present()
+        id_, now = "", present_moment()
         try:
             asked = read_message(RaiseSpeed if kind.starts else LowerSpeed, kind, payload, retained)
             id_, now = asked.id, Moment(now.origin, now.at + round(self.delay * 1e9))
@@ -513,7 +513,7 @@ class ScriptedRobot:
 
     def _too_old(self, moment: str) -> str:
         """Return why what repeats a moment is void, as if it had lain on its way for `delay`."""
-        now = present()
+        now = present_moment()
         return staleness(parse_moment(moment), Moment(now.origin, now.at + round(self.delay * 1e9)))
 
     def _on_ik(self, account: str, payload: bytes, retained: bool) -> None:

@@ -16,7 +16,7 @@ from simulation import SimulatedChain
 
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.extensions.physics.arm import Plant, bare_model
-from construction_twin.extensions.physics.commands.identify import drives_of
+from construction_twin.extensions.physics.commands.identify import recorded_motions
 from construction_twin.extensions.physics.drive import drives_of as urdf_drives
 from construction_twin.extensions.physics.drive import read_drives
 from construction_twin.extensions.physics.identification import IdentifiedJoint, identify
@@ -112,7 +112,7 @@ def _unaffected(chain: SimulatedChain, before: int, joint: int, fault: Fault) ->
 def identified(chain: SimulatedChain) -> tuple[IdentifiedJoint, ...]:
     """Return the servos as they follow from what a bag of the chain's run would hold."""
     recording = chain.recording()
-    return identify(NAMES, drives_of(replace(recording, command=recording.twin), CYCLE_NS), CYCLE_NS)
+    return identify(NAMES, recorded_motions(replace(recording, command=recording.twin), CYCLE_NS), CYCLE_NS)
 
 
 def model_of(found: tuple[IdentifiedJoint, ...]) -> ServoModel:
@@ -216,11 +216,11 @@ class Work:
     @property
     def largest(self) -> np.ndarray:
         """Largest residual of a pose that was judged and agreed, since this was set to zero last, shape (n,)."""
-        return np.array(self.chain.gate.watch_of_servos.largest)
+        return np.array(self.chain.gate.servo_watch.largest)
 
     def forget(self) -> None:
         """Begin anew with `largest`."""
-        self.chain.gate.watch_of_servos.largest = (0.0,) * len(NAMES)
+        self.chain.gate.servo_watch.largest = (0.0,) * len(NAMES)
 
     @property
     def average(self) -> np.ndarray:

@@ -217,14 +217,14 @@ class SimulatedChain:
         stamp = self.now
         self._at(stamp + CYCLE_NS, self._execute)
         gate = self.gate
-        self.executor.on_sync(gate.state, gate.agreed(stamp), gate.policy, gate.held_stamp)
+        self.executor.on_sync(gate.state, gate.is_agreed(stamp), gate.policy, gate.held_stamp)
         last = gate.comparison.last
         if last is not None:
-            self.executor.limit.trail(last.round_trip, last.servo_lag)
+            self.executor.limit.on_lag(last.round_trip, last.servo_lag)
         # a disk that takes everything at once
         self.executor.engagement.written = self.executor.engagement.present
         theta_next = self.executor.step(stamp, stamp)
-        for order in self.executor.take_orders():
+        for order in self.executor.pop_orders():
             self._at(stamp + self._link.command_delay(), lambda order=order: self._switch(order))
         command = None if theta_next is None else gate.pass_next(stamp, theta_next, stamp)
         self._note_transitions()
@@ -240,14 +240,14 @@ class SimulatedChain:
 
     def _note_transitions(self) -> None:
         """What the monitor does about each change: note it, and ask for a new plan, which then waits for review."""
-        for change in self.gate.take_transitions():
+        for change in self.gate.pop_transitions():
             self.transitions.append(change)
             asked = change.source is SyncState.IN_SYNC and self.executor.state is ExecutorState.PLAYING
             if asked and self.gate.policy == REPLAN and self.planner is not None:
                 goal = tuple(self.executor.plan.trajectory.positions[-1].tolist())
                 if self.gate.fire(SyncEvent.REPLAN_ASKED, "the planner was asked", self.now):
                     self.executor.offer(self.planner(self.gate.held, goal))
-                    self.transitions += self.gate.take_transitions()
+                    self.transitions += self.gate.pop_transitions()
 
     def _send(self, stamp: int, command: tuple[float, ...]) -> None:
         if not self.supervisor.on_command(command, stamp):
@@ -294,10 +294,10 @@ class SimulatedChain:
         if not line.active:
             deliver(data)
             return
-        line.put(data, self.now)
+        line.send(data, self.now)
 
         def arrive() -> None:
-            for underway in line.take(self.now):
+            for underway in line.pop_arrived(self.now):
                 deliver(underway.data)
             coming = line.next_arrival()
             if coming is not None:
@@ -310,17 +310,17 @@ class SimulatedChain:
         telegram = self._reader.parse(packet)
         tool = self.gateway.tool
         if tool is not None and self._reader.tool is not None:
-            tool.note(self._reader.tool(packet))
+            tool.on_reading(self._reader.tool(packet))
         correction = self.gateway.on_telegram(telegram, "controller", self.now)
         if correction is not None:
             self.corrections.append((telegram.controller_ms, correction))
-            stop, switched = True if self.gateway.ends else None, ()
+            stop, switched = True if self.gateway.ends_program else None, ()
             if tool is not None:
-                switched = tool.channels(self.gateway.ends)
+                switched = tool.channels(self.gateway.ends_program)
                 self.switched.append((self._played, switched))
             reply = self._encoder.encode(correction, telegram.controller_ms, stop, switched)
             self._carry(self.faults.to_controller, reply, self._take_reply)
-        if tool is not None and self.gateway.take_change():
+        if tool is not None and self.gateway.pop_change():
             status = self.gateway.status()
             self._at(self.now + self._link.state_delay(), lambda: self._hear_tool(status))
         message = self.gateway.state_message(self.now)
@@ -350,7 +350,7 @@ class SimulatedChain:
         self._tell_tool()
 
     def _tell_tool(self) -> None:
-        self.executor.on_tool(self._tool_link.report(""), self.now)
+        self.executor.on_tool(self._tool_link.state_report(""), self.now)
 
     def _receive(self, payload: bytes, properties: StateProperties) -> None:
         try:
@@ -360,10 +360,10 @@ class SimulatedChain:
             return
         q = self.codec.decode(payload)
         if not self.twin.follow(self.now, q):
-            self.twin.take_over(q)
+            self.twin.assume_pose(q)
         self.supervisor.inputs.on_pose(q, self.now)
         self.gate.on_physical(q, properties.command_stamp, self.now, seq=properties.seq)
-        watch = self.gate.watch_of_servos
+        watch = self.gate.servo_watch
         if watch is not None and watch.expected:
             self.expected.append((self.now, watch.expected))
         self._note_transitions()
@@ -389,7 +389,7 @@ class SimulatedChain:
                     self.backend.restart()
             self._session = self.supervisor.session
         mirrors = self.supervisor.state is LinkState.MIRROR
-        self.gate.mirror(mirrors, self.now)
+        self.gate.set_mirrored(mirrors, self.now)
         if mirrors:
             self.twin.begin_mirror(MotionLimits.of(self.robot))
         else:

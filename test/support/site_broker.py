@@ -41,7 +41,7 @@ class SiteBroker:
         settings = {"hosts": HOSTS, "robots": ROBOTS, "plc": True, "certificates": True, "listen": "127.0.0.1"}
         settings["persons"] = ("vic:look",)
         self.site = Site(**(settings | {"port": free_ports(), "folder": str(folder / "broker")} | changes))
-        self.said = SiteFolder(folder).make(self.site)
+        self.said = SiteFolder(folder).create_missing(self.site)
         #: What the broker says.
         self.log = folder / "broker.log"
         self._process = None

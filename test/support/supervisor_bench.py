@@ -125,7 +125,7 @@ class BareBench:
     def state(self) -> LinkState:
         return self.supervisor.state
 
-    def say(self, word: str) -> None:
+    def publish_word(self, word: str) -> None:
         """Let the PLC say a word now."""
         self.supervisor.inputs.on_status(parse_status(word.encode()), self.now)
 
@@ -133,7 +133,7 @@ class BareBench:
         self.now += POLL
         if self.word is not None and self.word != self._said:
             # retained, and said once: not repeated as a gateway's status is
-            self.say(self.word)
+            self.publish_word(self.word)
             self._said = self.word
         if self.refusal:
             self.supervisor.inputs.on_pose_refused(self.refusal, self.now)

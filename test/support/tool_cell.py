@@ -106,9 +106,9 @@ class ToolCell:
             correction = self.gateway.on_telegram(telegram, self.source, self.now)
             if correction is None:
                 continue
-            values = self.gateway.tool.channels(self.gateway.ends) if self.gateway.tool else ()
+            values = self.gateway.tool.channels(self.gateway.ends_program) if self.gateway.tool else ()
             self.sent.append(dict(zip(self.config.layout.switched, values)))
-            stop = True if self.gateway.ends else None
+            stop = True if self.gateway.ends_program else None
             if not self.delivering:
                 continue
             self.controller.receive(self.encoder.encode(correction, telegram.controller_ms, stop, values))

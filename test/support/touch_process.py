@@ -20,7 +20,7 @@ from work_samples import RECIPES
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work import process
 from construction_twin.extensions.work.errors import TaskPlanningError
-from construction_twin.extensions.work.motions import PAIRS, Failed, PlanBuilder, Search
+from construction_twin.extensions.work.motions import PAIRS, AttemptFailed, PlanBuilder, Search
 from construction_twin.extensions.work.process import (
     SHARED,
     Finite,
@@ -29,9 +29,9 @@ from construction_twin.extensions.work.process import (
     Process,
     Recipe,
     TaskMotions,
-    listed,
+    as_list,
 )
-from construction_twin.extensions.work.site import inverse, pose_of
+from construction_twin.extensions.work.work_cell import inverse, pose_of
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import product
 
@@ -69,7 +69,7 @@ def check(search: Search) -> None:
     """Refuse an element that is not where the job has it, and one that is held."""
     job, present = search.job, {item.name: item for item in search.scene.objects}
     if search.held is not None:
-        raise TaskPlanningError(job.task, f"{job.called} is in the grip; to touch it is to stand at its place")
+        raise TaskPlanningError(job.task, f"{job.label} is in the grip; to touch it is to stand at its place")
     for item in job.bodies:
         found = present.get(item.name)
         away = np.inf if found is None else np.linalg.norm(
@@ -81,14 +81,14 @@ def check(search: Search) -> None:
 
 def plan(search: Search) -> TaskMotions:
     check(search)
-    furthest: Failed | None = None
+    furthest: AttemptFailed | None = None
     for point in search.recipe.points:
-        if furthest is not None and search.late:
+        if furthest is not None and search.is_out_of_time:
             break
         name = f"point {' '.join(f'{1e3 * value:g}' for value in point)} mm"
         try:
             return _at(search, point, name)
-        except Failed as failed:
+        except AttemptFailed as failed:
             failed.method = name
             furthest = failed
     assert furthest is not None
@@ -103,13 +103,13 @@ def _at(search: Search, point: tuple[float, float, float], name: str) -> TaskMot
         product(Pose(there + np.array([0.0, 0.0, height]), _DOWN), tcp_T_tool0)
         for height in (recipe.gap, recipe.gap + recipe.way)
     )
-    search.demand_reach(at, "at the point")
+    search.require_reach(at, "at the point")
     befores = search.solutions(above, search.start, scene, TO_POINT, "above the point")
-    furthest: Failed | None = None
+    furthest: AttemptFailed | None = None
     for number in search.nearest(befores)[:PAIRS]:
         try:
             return _planned(search, befores[number], at, above, name)
-        except Failed as failed:
+        except AttemptFailed as failed:
             furthest = failed
     assert furthest is not None
     raise furthest
@@ -117,9 +117,9 @@ def _at(search: Search, point: tuple[float, float, float], name: str) -> TaskMot
 
 def _planned(search: Search, before: np.ndarray, at: Pose, above: Pose, name: str) -> TaskMotions:
     scene, scale = search.scene, search.recipe.free_speed_scale
-    down = search.line(before, at, scale, scene, TOUCH)
-    back = search.line(down.positions[-1], above, scale, scene, BACK)
-    free, clearance = search.free(search.start, before, scale, scene, TO_POINT)
+    down = search.line_motion(before, at, scale, scene, TOUCH)
+    back = search.line_motion(down.positions[-1], above, scale, scene, BACK)
+    free, clearance = search.free_motion(search.start, before, scale, scene, TO_POINT)
     empty = search.tool.tool.release.signals()
     made = PlanBuilder(search, scene)
     made.add(TO_POINT, free, False, empty, (), scene, clearance)
@@ -133,7 +133,7 @@ PROCESS = Process(
     recipe=TouchRecipe,
     overrides={
         **SHARED,
-        "Point": Override(("points",), "IfcLabel", lambda value: (listed(value),)),
+        "Point": Override(("points",), "IfcLabel", lambda value: (as_list(value),)),
     },
     check_recipe=check_recipe,
     mass=lambda job, name, recipe, tool: job.element.mass,

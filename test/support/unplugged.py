@@ -31,7 +31,7 @@ class Unplugged:
         report: Of the node that was made last.
     """
 
-    report: Callable
+    diagnose: Callable
 
     def __init__(self, monkeypatch, shell: NodeShell, settings, robot, pose: Callable = lambda *_: (), parameters=None):
         self.callbacks: dict[str, Callable] = {}
@@ -49,15 +49,15 @@ class Unplugged:
         patch(ports, "Publisher", self._publisher)
         patch(ports, "JointPublisher", self._publisher)
         patch(ports, "Subscriber", Subscriber)
-        patch(ports, "JointSubscriber", lambda topic, _names, callback, *_: self.hear(topic, callback))
+        patch(ports, "JointSubscriber", lambda topic, _names, callback, *_: self.subscribe(topic, callback))
         patch(ports, "LatestPose", lambda topic, *_: self._opens("reads", topic, newest_pose(pose)))
         patch(ports, "Service", self._serve)
         patch(ports.rospy, "Timer", lambda _period, callback: self.timers.append(callback))
         patch(Subscriber, "bench", self, raising=False)
         self.node = shell.open(settings, robot)
 
-    def _diagnostics(self, _name: str, report: Callable, _kind: str = "state"):
-        Unplugged.report = staticmethod(report)
+    def _diagnostics(self, _name: str, diagnose: Callable, _kind: str = "state"):
+        Unplugged.diagnose = staticmethod(diagnose)
         return SimpleNamespace(
             refuse=lambda *said: self.refused.append(said), count=lambda *said: self.counted.append(said)
         )
@@ -74,7 +74,7 @@ class Unplugged:
 
         return self._opens("publishes", topic, SimpleNamespace(publish=publish))
 
-    def hear(self, topic: str, callback: Callable) -> None:
+    def subscribe(self, topic: str, callback: Callable) -> None:
         self.callbacks[topic] = callback
         self._opens("hears", topic, None)
 
@@ -109,7 +109,7 @@ class Subscriber:
 
     def __init__(self, topic: str, _kind: type, callback: Callable, *_):
         self._topic = topic
-        self.bench.hear(topic, callback)
+        self.bench.subscribe(topic, callback)
 
     def get_num_connections(self) -> int:
         return 1

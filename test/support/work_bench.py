@@ -27,17 +27,17 @@ from unplugged import ask, over_the_wire
 
 from construction_twin.core.errors import RequestRefused
 from construction_twin.core.freshness import Moment
-from construction_twin.extensions.work import session
+from construction_twin.extensions.work import work_progress
+from construction_twin.extensions.work.layout import Slot, StockPlan
 from construction_twin.extensions.work.ledger import read_entries
 from construction_twin.extensions.work.loaded_model import ElementFacts, LoadedModel
 from construction_twin.extensions.work.nodes import work as module
 from construction_twin.extensions.work.schedule import Job, Schedule
-from construction_twin.extensions.work.site_scene import Slot, StockPlan
 from construction_twin.extensions.work.task_board import TaskBoard
 from construction_twin.extensions.work.task_memory import Entry
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.planning.work_segment import WorkSegment
-from construction_twin.review.plan_under_review import Ending, Verdict
+from construction_twin.review.plan_under_review import ExecutionEnd, Verdict
 from construction_twin.review.record import ReviewLog
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.plan import Plan, content_hash
@@ -61,7 +61,7 @@ FLOOR = SceneObject("floor", "box", (20.0, 20.0, 1.0), (0.0, 0.0, -0.5))
 FETCH, GRIP, CARRY, LEAVE = range(4)
 
 
-def prepared() -> LoadedModel:
+def loaded_model() -> LoadedModel:
     """Return a model of one element, which one task places."""
     goal, stock = (product(_CHAIN.forward(q), HELD) for q in (AT_GOAL, AT_STOCK))
     facts = ElementFacts("stud", (BODY,), goal, np.zeros((1, 3, 3)))
@@ -118,7 +118,7 @@ class Bench:
         self.tasks: list = []
         self._plans = 0
         monkeypatch.setenv("ROS_HOME", str(folder))
-        monkeypatch.setattr(session, "SCENE_TIME", 0.05)
+        monkeypatch.setattr(work_progress, "SCENE_TIME", 0.05)
         monkeypatch.setattr(rospy.Time, "now", lambda: rospy.Time(7))
         for level in ("loginfo", "logwarn", "logerr"):
             monkeypatch.setattr(rospy, level, lambda *_: None)
@@ -134,7 +134,7 @@ class Bench:
             model="panel.ifc", cell="/cell.yaml", self_collision="", tf_prefix="",
             folder="work", arm="mock", service_timeout=1.0, listen_time=0.02, retry_time=0.01,
         ).model_copy(update=files)  # fmt: skip
-        made = worker or SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=self._planned, close=None)
+        made = worker or SimpleNamespace(ask_first=lambda *_, **__: loaded_model(), ask=self._planned, close=None)
         self._patch(module, "Worker", lambda _program: made)
         poses = {"twin": lambda *_: HOME, "physical": lambda *_: self.arm_pose()}
         takers = {"tasks": lambda message: self.tasks.append(over_the_wire(message)), "markers": lambda _: None}
@@ -166,19 +166,19 @@ class Bench:
     @property
     def board(self) -> TaskBoard:
         """The node's board of tasks."""
-        return self.node.session.board
+        return self.node.progress.board
 
     def run(self, times: int = 8) -> Bench:
         """Let the node do what follows from all it has heard, and try again what does not work."""
         for _ in range(times):
-            self.node.go_on()
+            self.node.run_once()
         return self
 
     # -- what the node hears
 
     def hear(self, topic: str, message) -> None:
         """Publish a message on one of the topics that the node hears."""
-        (one,) = (one for one in module.INTERFACE.hears if one.topic == topic)
+        (one,) = (one for one in module.INTERFACE.subscribes if one.topic == topic)
         one.handler(self.node, over_the_wire(message))
 
     def show(self, scene: Scene | None = None) -> None:
@@ -225,7 +225,7 @@ class Bench:
         plan = self.plan
         log.append(Verdict("approved" if approved else "rejected", plan.id, plan.hash, "Ada", "", plan))
         if outcome:
-            log.append(Ending(plan, outcome, ""))
+            log.append(ExecutionEnd(plan, outcome, ""))
         log.close()
 
     def refuse(self, *said) -> None:
@@ -310,7 +310,7 @@ class Bench:
 
     def _plan_work(self, request) -> PlanWorkResponse:
         if self.planner_dies == "before":
-            raise session.NoAnswer("the planner does not answer")
+            raise work_progress.NoAnswer("the planner does not answer")
         work = [work_segment_from_msg(segment) for segment in request.segments]
         scene, end, parts = self.scene, 0.0, []
         for each in work:
@@ -322,7 +322,7 @@ class Bench:
         if self.planner_dies == "node":
             raise Killed
         if self.planner_dies == "after":
-            raise session.NoAnswer("the planner does not answer")
+            raise work_progress.NoAnswer("the planner does not answer")
         plan = self.plan
         return PlanWorkResponse(True, "planned", plan.id, plan.hash, plan.trajectory.duration, "")
 

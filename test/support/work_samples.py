@@ -12,11 +12,11 @@ import numpy as np
 import yaml
 
 from construction_twin.extensions.work.building import Body, BuildingModel, Element
+from construction_twin.extensions.work.layout import Layout
 from construction_twin.extensions.work.motions import BUDGET, TaskPlanner
 from construction_twin.extensions.work.process import Recipes, WorkJob, read_recipes
 from construction_twin.extensions.work.schedule import Job
-from construction_twin.extensions.work.site import Site, read_site
-from construction_twin.extensions.work.site_scene import Layout
+from construction_twin.extensions.work.work_cell import WorkCell, read_work_cell
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, InverseKinematics, inverse_kinematics
 from construction_twin.planning.planner import PlannerSettings
@@ -85,14 +85,14 @@ def building(*elements: Element) -> BuildingModel:
     return BuildingModel("sample.ifc", "0" * 64, "sample", {one.id: one for one in found})
 
 
-def site(folder: Path, cell: Mapping | None = None, scene: Mapping | None = None) -> Site:
+def work_cell(folder: Path, cell: Mapping | None = None, scene: Mapping | None = None) -> WorkCell:
     """Write a cell into a folder and read it."""
     (folder / "scene.yaml").write_text(yaml.safe_dump(scene or SCENE))
     (folder / "cell.yaml").write_text(yaml.safe_dump({**CELL, **(cell or {})}))
-    return read_site(folder / "cell.yaml")
+    return read_work_cell(folder / "cell.yaml")
 
 
-def layout(at: Site, model: BuildingModel, jobs: Sequence[Job] = ()) -> Layout:
+def layout(at: WorkCell, model: BuildingModel, jobs: Sequence[Job] = ()) -> Layout:
     """Return the layout of a model's elements, boxes all, in the order of the file."""
     pieces = {one.id: box_pieces(one) for one in model.elements.values()}
     return Layout(at, model, pieces, list(model.elements), robot().tip_link, jobs=jobs)

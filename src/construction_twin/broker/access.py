@@ -91,11 +91,11 @@ class Site:
 
     def rights(self, robot: str) -> dict[str, list[str]]:
         """Return the rights of each person at a robot, in the order of `RIGHTS`; without those who have none."""
-        given: dict[str, set[str]] = {}
+        granted: dict[str, set[str]] = {}
         for name, rights, robots in map(read_person, self.persons):
             if robot in (robots or self.robots):
-                given.setdefault(name, {"look"}).update(rights)
-        return {name: [right for right in RIGHTS if right in rights] for name, rights in given.items()}
+                granted.setdefault(name, {"look"}).update(rights)
+        return {name: [right for right in RIGHTS if right in rights] for name, rights in granted.items()}
 
 
 def read_person(words: str) -> tuple[str, tuple[str, ...], tuple[str, ...]]:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from construction_twin.broker.access import RIGHTS, Site, access_rules, broker_configuration, merged, read_person
 from construction_twin.broker.certificates import Authority, expiry, make_folder, run_tool, write_private
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, spoken
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, command_message
 from construction_twin.core.share import share_file
 
 #: Lifetime of certificates [days]: what most software accepts at most.
@@ -44,7 +44,7 @@ class SiteFolder:
         except (OSError, ValueError, TypeError, AttributeError) as error:
             raise ConstructionTwinError(f"{self._settings} cannot be read: {error}; restore it") from error
 
-    def make(
+    def create_missing(
         self, site: Site, days: int = DAYS, renew: bool = False, replace: Iterable[str] = (), renew_ca: bool = False
     ) -> list[str]:
         """Make what is missing; return sentences on what was done. ConstructionTwinError, e.g. when the CA may not vouch for one.
@@ -62,9 +62,9 @@ class SiteFolder:
         rules, configuration = access_rules(site, _template), broker_configuration(site, _template)
         for folder in (self._folder, self._broker, self._folder / "accounts"):
             make_folder(folder)
-        names, made = merged(site.hosts, site.consoles), not (self._folder / "ca").exists()
+        names, is_new = merged(site.hosts, site.consoles), not (self._folder / "ca").exists()
         authority, lines = Authority(self._folder / "ca", names), []
-        if made:
+        if is_new:
             lines.append(
                 f"made a CA in {self._folder / 'ca'}, for {', '.join(names)} only; keep ca.key off the network"
             )
@@ -205,16 +205,16 @@ def _site(asked: argparse.Namespace, before: dict) -> Site:
     if not 1 <= asked.days <= 36500:
         raise ConfigurationError("--days", asked.days, "1 to 36500")
     named = {read_person(words)[0] for words in asked.person}
-    kept = [words for words in before.get("persons", ()) if read_person(words)[0] not in named]
-    given = {
+    others = [words for words in before.get("persons", ()) if read_person(words)[0] not in named]
+    added = {
         "hosts": merged(before.get("hosts", ()), asked.host),
         "robots": merged(before.get("robots", ()), asked.robot),
         "consoles": merged(before.get("consoles", ()), asked.console),
-        "persons": merged(kept, asked.person),
+        "persons": merged(others, asked.person),
         "folder": asked.broker_folder or before.get("folder") or str(asked.folder.absolute() / "broker"),
     }
     single = ("plc", "certificates", "port", "listen", "prefix")
-    return Site(**before | given | {name: value for name in single if (value := getattr(asked, name))})
+    return Site(**before | added | {name: value for name in single if (value := getattr(asked, name))})
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -223,9 +223,9 @@ def main(argv: list[str] | None = None) -> int:
     folder = SiteFolder(asked.folder)
     try:
         site = _site(asked, folder.load())
-        lines = folder.make(site, asked.days, asked.renew, asked.replace, asked.renew_ca) + folder.expiries()
+        lines = folder.create_missing(site, asked.days, asked.renew, asked.replace, asked.renew_ca) + folder.expiries()
     except (ConstructionTwinError, OSError) as error:
-        print(f"make_site: {spoken(error)}")
+        print(f"make_site: {command_message(error)}")
         return 1
     print("\n".join(lines))
     print(f"broker: {asked.folder / 'broker/mosquitto.conf'} expects its files in {site.folder}")

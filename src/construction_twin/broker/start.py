@@ -34,7 +34,7 @@ ACCOUNTS = (
 #: Longest time until a mosquitto on trial listens [s]: long, because a busy machine is no reason to refuse a start.
 TRIAL_TIME = 20.0
 #: Pause between two looks at a mosquitto on trial [s].
-_LOOK = 0.02
+_POLL = 0.02
 #: mosquitto puts the time in front of what it logs.
 _LOG_TIME = re.compile(r"^\d+: ")
 _LISTENER = re.compile(r"^(\s*listener\s+)(\d+)", re.MULTILINE)
@@ -79,7 +79,7 @@ def check(path: str, port: int, accounts: bool = False) -> tuple[str, str]:
     except (OSError, UnicodeDecodeError) as error:
         why = getattr(error, "strerror", error)
         raise ConfigurationError("mosquitto.conf", path, f"a file that can be read: {why}") from error
-    if accounts and lets_in_everybody(text):
+    if accounts and allows_anonymous(text):
         raise ConfigurationError("mosquitto.conf", path, ACCOUNTS)
     for number in listener_ports(text) or [port]:
         if not port_is_free(socket.SOCK_STREAM, number):
@@ -91,7 +91,7 @@ def check(path: str, port: int, accounts: bool = False) -> tuple[str, str]:
     return program, text
 
 
-def lets_in_everybody(text: str) -> bool:
+def allows_anonymous(text: str) -> bool:
     """Return whether a mosquitto configuration permits clients without an account."""
     # of several lines the last one counts; without one mosquitto 2 refuses clients without an account
     permitted = [line.split()[1:] for line in text.splitlines() if line.split()[:1] == ["allow_anonymous"]]
@@ -101,14 +101,14 @@ def lets_in_everybody(text: str) -> bool:
 def trial(program: str, text: str) -> str:
     """Start mosquitto on free ports, and end it once it has begun; return why it cannot work, empty when it can."""
 
-    def elsewhere(listener: re.Match[str]) -> str:
+    def on_free_port(listener: re.Match[str]) -> str:
         # port 0 is that of a listener on a Unix socket
         if not int(listener[2]):
             return listener[0]
         with socket.create_server(("127.0.0.1", 0)) as free:
             return f"{listener[1]}{free.getsockname()[1]}"
 
-    file = _in_memory(_LISTENER.sub(elsewhere, _complete(text, DEFAULT_PORT)))
+    file = _in_memory(_LISTENER.sub(on_free_port, _complete(text, DEFAULT_PORT)))
     try:
         command = [program, "-c", f"/dev/fd/{file}"]
         with subprocess.Popen(command, pass_fds=[file], stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as mosquitto:
@@ -117,7 +117,7 @@ def trial(program: str, text: str) -> str:
                 if time.monotonic() > deadline:
                     mosquitto.kill()
                     return f"mosquitto does not listen within {TRIAL_TIME:g} s"
-                time.sleep(_LOOK)
+                time.sleep(_POLL)
             ended = mosquitto.poll()
             # a killed one writes no persistent state
             mosquitto.kill()

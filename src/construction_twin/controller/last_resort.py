@@ -37,7 +37,7 @@ class BareProtocol:
 
 
 class LastResort:
-    """Remembers what was sent; after `take_over` answers in the gateway's place, where a controller expects answers.
+    """Stores what was sent; after `begin` answers in the gateway's place, where a controller expects answers.
 
     Attributes:
         ending: True: once at rest, replies end the controller's program.
@@ -52,7 +52,7 @@ class LastResort:
         self._texts = bare.texts if bare else (b"", b"")
         self._source: object = None
         # what the controller had before the last target, and its count of missed replies then
-        self._kept: tuple[float, ...] = ()
+        self._last_acknowledged: tuple[float, ...] = ()
         self._missed = 0
         self._step: tuple[float, ...] = ()
         self._over = bare is None
@@ -60,21 +60,26 @@ class LastResort:
         self.stamp = 0
         self.ending = False
 
-    def sent(
-        self, stamp: int, source: object, target: tuple[float, ...], kept: tuple[float, ...], missed: int | None
+    def on_reply_sent(
+        self,
+        stamp: int,
+        source: object,
+        target: tuple[float, ...],
+        acknowledged: tuple[float, ...],
+        missed: int | None,
     ) -> None:
-        """Take note of a reply to a telegram of this stamp [ms] and count; `kept` is what the controller keeps if it is lost."""
-        self.target, self._kept, self.stamp, self._source = target, kept, stamp, source
+        """Store a reply to the telegram of a stamp [ms]; `acknowledged`: the target that the controller keeps if it is lost."""
+        self.target, self._last_acknowledged, self.stamp, self._source = target, acknowledged, stamp, source
         self._missed = missed or 0
 
-    def hold(self, holding: bytes, ending: bytes) -> None:
-        """Take the texts of replies that leave a tool's outputs as they were sent last: not ending the program, and ending it."""
+    def set_templates(self, holding: bytes, ending: bytes) -> None:
+        """Store the texts of replies that leave a tool's outputs as they were sent last: not ending the program, and ending it."""
         self._texts = holding, ending
 
-    def take_over(self) -> None:
+    def begin(self) -> None:
         """Begin to answer: with the last step that was commanded."""
-        if len(self._kept) == len(self.target):
-            self._step = tuple([new - old for new, old in zip(self.target, self._kept)])
+        if len(self._last_acknowledged) == len(self.target):
+            self._step = tuple([new - old for new, old in zip(self.target, self._last_acknowledged)])
         else:
             self._step = (0.0,) * len(self.target)
 
@@ -84,7 +89,7 @@ class LastResort:
         return not any(self._step)
 
     @property
-    def ends(self) -> bool:
+    def ends_program(self) -> bool:
         """True when replies end the program."""
         return self.ending and self.at_rest and not self._over and bool(self.target)
 
@@ -100,16 +105,16 @@ class LastResort:
         """Return whether a telegram follows another one, by their stamps [ms]."""
         return stamp_step(other, stamp, _LONGEST_STEP) > 0
 
-    def note_missed(self, stamp: int, data: bytes) -> bool:
+    def rewind_if_lost(self, stamp: int, data: bytes) -> bool:
         """Go back to what the controller has if a telegram says that the last reply was lost; return whether it does."""
         missed = self._bare.missed(data) if self._bare is not None else None
         if missed is None:
             return False
         before, self._missed = self._missed, missed
         cycles = max(1, stamp_step(self.stamp, stamp, _LONGEST_STEP) // self._cycle)
-        lost = missed - before >= cycles and len(self._kept) == len(self.target)
+        lost = missed - before >= cycles and len(self._last_acknowledged) == len(self.target)
         if lost:
-            self.target = self._kept
+            self.target = self._last_acknowledged
             self._step = (0.0,) * len(self._step)
         return lost
 
@@ -122,7 +127,7 @@ class LastResort:
         if elapsed > self._cycle:
             self._step = (0.0,) * len(self._step)
         self._step = tuple([math.copysign(max(0.0, abs(v) - most), v) for v, most in zip(self._step, self._budget)])
-        self._kept = self.target
+        self._last_acknowledged = self.target
         self.target = tuple([value + step for value, step in zip(self.target, self._step)])
         self.stamp = stamp
-        return self._bare.write(self._texts[self.ends], self.target, stamp)
+        return self._bare.write(self._texts[self.ends_program], self.target, stamp)

@@ -47,7 +47,7 @@ class Layout(Protocol):
         """Per channel of `switched`: whether it keeps its value when a reply is missed, or falls to 0."""
 
     @property
-    def not_filled(self) -> tuple[str, ...]:
+    def unfilled(self) -> tuple[str, ...]:
         """Channels that no reply fills, for people."""
 
     @property
@@ -76,7 +76,7 @@ class ControllerStatus(Protocol):
     def sentence(self) -> str:
         """Why the arm may not move, or not as expected; "" when nothing of this kind is known."""
 
-    def report(self) -> dict[str, str | float]:
+    def status_fields(self) -> dict[str, str | float]:
         """Return what `status` tells of it; {} when nothing is known."""
 
 
@@ -122,7 +122,7 @@ class SessionRules(Protocol):
 
     follows: bool
 
-    def drifted(self, distance: str) -> str:
+    def drift_sentence(self, distance: str) -> str:
         """Return the sentence on how far an axis is off where it was programmed."""
 
     def begin(self) -> None:
@@ -131,7 +131,7 @@ class SessionRules(Protocol):
     def origin(self, telegram: Telegram) -> tuple[tuple[float, ...], str]:
         """Return what targets are relative to, () while it is not known, and why the session must not be answered ("": it may)."""
 
-    def restarted(
+    def restart_sign(
         self, telegram: Telegram, origin: tuple[float, ...], correction: tuple[float, ...], moving: bool
     ) -> str:
         """Return what shows, where cycles are missing, that a session was begun anew faster than silence tells; "" for nothing.
@@ -254,13 +254,13 @@ class Make(Generic[LayoutT]):
     file: FileForm[LayoutT] | None = None
     references: tuple[str, ...] = ()
 
-    def layout_of(self, given: str, axes: Sequence[str]) -> LayoutT:
+    def layout_of(self, path_or_text: str, axes: Sequence[str]) -> LayoutT:
         """Return the layout of an arm, by path or text (several lines) of the file that describes it; the plain one for ""."""
-        return self.form_of(given).read(given) if given else self.plain(axes)
+        return self.form_of(path_or_text).read(path_or_text) if path_or_text else self.plain(axes)
 
-    def form_of(self, given: str) -> FileForm[LayoutT]:
-        """Return the form of a file that was given; ConfigurationError when the make has no files."""
+    def form_of(self, path_or_text: str) -> FileForm[LayoutT]:
+        """Return the form of the files, by one of them; ConfigurationError when the make has no files."""
         if self.file is None:
             expected = f"none: {self.name} has no file for its telegrams"
-            raise ConfigurationError("file of the controller", given, expected)
+            raise ConfigurationError("file of the controller", path_or_text, expected)
         return self.file

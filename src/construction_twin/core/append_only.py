@@ -12,11 +12,11 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, problem_of
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, system_message
 from construction_twin.core.units import NANOSECONDS
 
 #: Deferred lines that are kept while the file cannot be written; what comes then is counted, and the number is written later.
-KEPT = 1000
+MAX_DEFERRED = 1000
 
 
 def iso_time(now: int) -> str:
@@ -51,7 +51,7 @@ class AppendOnlyFile:
         failure: Takes the path and what is wrong; returns the error that is raised when a line cannot be written.
 
     Attributes:
-        lost: Deferred lines that were not kept, because `KEPT` others waited for a file that could not be written.
+        lost: Deferred lines that were not kept, because `MAX_DEFERRED` others waited for a file that could not be written.
     """
 
     def __init__(self, path: str | Path, failure: Callable[[str, str], ConstructionTwinError], writer: str):
@@ -65,13 +65,13 @@ class AppendOnlyFile:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = os.open(self.path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
         except OSError as error:
-            raise ConfigurationError(str(self.path), problem_of(error), "a file that can be written") from error
+            raise ConfigurationError(str(self.path), system_message(error), "a file that can be written") from error
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             content = _read(self.path)
             self.lines, self._size = content.count(b"\n"), content.rfind(b"\n") + 1
-            self.mended = len(content) - self._size
-            if self.mended:
+            self.cut_off = len(content) - self._size
+            if self.cut_off:
                 os.ftruncate(self._file, self._size)
                 os.fsync(self._file)
         except (ConfigurationError, OSError) as error:
@@ -81,8 +81,8 @@ class AppendOnlyFile:
             raise ConfigurationError(str(self.path), str(error), f"a file that no other {writer} writes") from error
 
     def defer(self, now: int, fields: dict) -> None:
-        """Keep a line of this time since 1970 [ns] for the next `flush`; does not touch the disk."""
-        if len(self._deferred) >= KEPT:
+        """Queue a line of this time since 1970 [ns] for the next `flush`; does not touch the disk."""
+        if len(self._deferred) >= MAX_DEFERRED:
             # no verdict is taken meanwhile: `append` writes these first, and fails
             self._lost_at = now
             self.lost += 1
@@ -97,7 +97,7 @@ class AppendOnlyFile:
                 self._deferred.popleft()
             number = self.lost - self._reported
             if number:
-                reason = f"the file could not be written, and {KEPT} records waited already"
+                reason = f"the file could not be written, and {MAX_DEFERRED} records waited already"
                 self._append(self._lost_at, {"record": "gap", "lost": number, "reason": reason})
                 self._reported += number
 
@@ -108,12 +108,12 @@ class AppendOnlyFile:
             self._append(now, fields)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         os.close(self._file)
 
     def _append(self, now: int, fields: dict) -> None:
         data = json.dumps({"time": iso_time(now), "time_ns": now} | fields, allow_nan=False).encode() + b"\n"
-        self._check_there()
+        self._check_in_place()
         try:
             written = os.write(self._file, data)
             if written != len(data):
@@ -126,7 +126,7 @@ class AppendOnlyFile:
         self._size += len(data)
         self.lines += 1
 
-    def _check_there(self) -> None:
+    def _check_in_place(self) -> None:
         """What is written to a file that was removed or replaced is on no disk."""
         try:
             there, here = os.stat(self.path), os.fstat(self._file)
@@ -142,4 +142,4 @@ def _read(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise ConfigurationError(str(path), problem_of(error), "a file that can be read") from error
+        raise ConfigurationError(str(path), system_message(error), "a file that can be read") from error

@@ -48,7 +48,7 @@ class FileError(ConstructionTwinError):
             super().__init__(f"{path} is no text in UTF-8 from byte {error.start} on; name a text file")
             return
         to_do = _FILE_PROBLEMS.get(error.errno or 0)
-        super().__init__(to_do.format(path=path or str(error)) if to_do else f"{path}: {problem_of(error)}")
+        super().__init__(to_do.format(path=path or str(error)) if to_do else f"{path}: {system_message(error)}")
 
 
 #: What opening a file raises that is not there, or may not be read: nothing is known of its contents.
@@ -67,12 +67,12 @@ _FILE_PROBLEMS = {
 }
 
 
-def problem_of(error: Exception) -> str:
+def system_message(error: Exception) -> str:
     """Return what went wrong as the system says it, without the number and file name of an OSError."""
     return getattr(error, "strerror", None) or str(error)
 
 
-def spoken(error: Exception) -> str:
+def command_message(error: Exception) -> str:
     """Return an error as a command says it: that of a file as `FileError`, any other as it is."""
     if isinstance(error, OSError):
         # two names: of a file that was renamed, or linked

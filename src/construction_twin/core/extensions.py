@@ -19,7 +19,7 @@ class ExtensionAbsent(ConfigurationError):
     """This installation is without an extension."""
 
 
-def extension(module: str) -> ModuleType:
+def import_extension(module: str) -> ModuleType:
     """Import a module of an extension, ``physics.mock_servo``; ExtensionAbsent where it is not installed."""
     path = f"construction_twin.extensions.{module}"
     try:
@@ -34,7 +34,7 @@ def extension(module: str) -> ModuleType:
 def run_main(module: str, waits: bool = False) -> object:
     """Run `main` of an extension's program; without the extension say so and return 2, or wait, as a node of a complete launch."""
     try:
-        main = extension(module).main
+        main = import_extension(module).main
     except ExtensionAbsent as error:
         print(error, file=sys.stderr, flush=True)
         if waits:

@@ -25,7 +25,7 @@ def read_file(path: str | Path, most: int) -> bytes:
     return contents
 
 
-def write_whole(path: Path, contents: str | bytes) -> None:
+def write_atomically(path: Path, contents: str | bytes) -> None:
     """Write a file in one step: a reader sees the old contents or the new ones, never a part. Nothing else is left behind."""
     path.parent.mkdir(parents=True, exist_ok=True)
     # not with_name, which refuses "." with another error

@@ -87,8 +87,8 @@ class Follower:
         self._step = [0.0] * len(self._step)
         self._target = list(self.position)
 
-    def take_back(self) -> None:
-        """Stand where the arm was before the last step, which it was not told to take."""
+    def undo_step(self) -> None:
+        """Stand where the arm was before the last step, whose reply was lost."""
         self.position = self._before
         self.rest()
 
@@ -97,7 +97,7 @@ class Follower:
         self._before = self.position
         for index, step in enumerate(self._step):
             slower = max(0.0, abs(step) - self._budget[index])
-            self._step[index] = self._keep_room(index, math.copysign(slower, step))
+            self._step[index] = self._leave_braking_room(index, math.copysign(slower, step))
         self.position = tuple(last + step for last, step in zip(self.position, self._step))
         self._target = list(self.position)
         return self.position
@@ -146,9 +146,9 @@ class Follower:
         # a limit on the chase is no reason to brake harder, or to fall behind a target that moves faster
         most = min(speed, max(self._chasing_speed[index], abs(drift), abs(previous) - budget))
         wanted = min(max(wanted, -most), most)
-        return self._keep_room(index, min(max(wanted, previous - budget), previous + budget))
+        return self._leave_braking_room(index, min(max(wanted, previous - budget), previous + budget))
 
-    def _keep_room(self, index: int, step: float) -> float:
+    def _leave_braking_room(self, index: int, step: float) -> float:
         """Return `step`, slowed as far as the wide budget allows when it would leave no room to brake inside the range."""
         last, previous, wide = self.position[index], self._step[index], self._wide_budget[index]
         if step > 0.0:

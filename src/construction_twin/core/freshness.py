@@ -81,6 +81,6 @@ def _origin() -> str:
     return _BOOT_ID.read_text(encoding="ascii")[:8]
 
 
-def present() -> Moment:
+def present_moment() -> Moment:
     """Return the present moment. The clock counts from the computer's start, also while it sleeps, and cannot be set."""
     return Moment(_origin(), time.clock_gettime_ns(time.CLOCK_BOOTTIME))

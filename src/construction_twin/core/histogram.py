@@ -13,10 +13,10 @@ def percentile(edges: Sequence[float], counts: Sequence[int], fraction: float) -
     Edges are the upper ones of the bins, ascending; a count beyond them is overflow. The true percentile is at most the result.
     """
     wanted = math.ceil(fraction * sum(counts) - 1e-9)
-    seen = 0
+    counted = 0
     for edge, count in zip(edges, counts):
-        seen += count
-        if wanted and seen >= wanted:
+        counted += count
+        if wanted and counted >= wanted:
             return edge
     return None
 

@@ -53,7 +53,7 @@ class MotionLimits:
         """Return the format's allowance per joint [rad/s^2], [m/s^2], for values one `cycle` [s] apart."""
         return tuple(format_allowance(decimals, slides, cycle) for slides in self.linear)
 
-    def refused(self, reason: str, index: int, value: float, limit: float, per: str = "") -> MotionRefused:
+    def refusal(self, reason: str, index: int, value: float, limit: float, per: str = "") -> MotionRefused:
         """Return the refusal of joint `index`, in its unit; `per` is appended to it, e.g. ``/s``."""
         unit = "m" if self.linear[index] else "rad"
         return MotionRefused(reason, self.names[index], value, limit, unit + per)
@@ -64,7 +64,7 @@ class MotionLimits:
             raise MotionRefused("values", "", math.nan, math.nan)
         for index, (value, lower, upper) in enumerate(zip(q, self.lower, self.upper)):
             if not lower - RANGE_SLACK <= value <= upper + RANGE_SLACK:
-                raise self.refused("range", index, value, upper if value > upper else lower)
+                raise self.refusal("range", index, value, upper if value > upper else lower)
 
 
 def outside_tolerance(
@@ -150,16 +150,16 @@ class MotionCheck:
         limits = self.limits
         noise = self._rounding[index] / period
         if abs(velocity) > limits.velocity[index] + noise:
-            raise limits.refused("velocity", index, velocity, limits.velocity[index], "/s")
+            raise limits.refusal("velocity", index, velocity, limits.velocity[index], "/s")
         acceleration = limits.acceleration[index]
         budget = acceleration * mean_period + self._allowance[index] * CYCLE * CYCLE / period
         last = self._velocity[index]
         if not min(0.0, last) - budget <= velocity <= max(0.0, last) + budget:
             measured = (velocity - last) / mean_period
-            raise limits.refused("acceleration", index, measured, acceleration, "/s^2")
+            raise limits.refusal("acceleration", index, measured, acceleration, "/s^2")
         speed = abs(velocity) - noise
         if speed > 0.0:
             room = limits.upper[index] - value if velocity > 0.0 else value - limits.lower[index]
             needed = braking_distance(speed * CYCLE, acceleration * CYCLE * CYCLE)
             if needed > room + RANGE_SLACK:
-                raise limits.refused("braking_room", index, needed, room)
+                raise limits.refusal("braking_room", index, needed, room)

@@ -19,7 +19,7 @@ class LineLimiter:
         # per reason: when a line was written last, and how many were left out since
         self._lines: dict[str, tuple[int, int]] = {}
 
-    def note(self, reason: str, now: int) -> str | None:
+    def admit(self, reason: str, now: int) -> str | None:
         """Return what to append to a line, "" or how many like it were left out before; None: it must not be written.
 
         `reason`: One of few, never text that came from outside, because every kind is remembered.
@@ -58,14 +58,14 @@ class SenderLimits:
         #: By sender: when it did something that still counts, oldest first.
         self._times: dict[str, deque[int]] = {}
 
-    def take(self, sender: str, now: int) -> bool:
+    def admit(self, sender: str, now: int) -> bool:
         """Return whether it may happen for a sender at `now`, and count it if so."""
-        may = not self.wait(sender, now)
+        may = not self.waiting_time(sender, now)
         if may:
             self._times.setdefault(sender, deque()).append(now)
         return may
 
-    def wait(self, sender: str, now: int) -> float:
+    def waiting_time(self, sender: str, now: int) -> float:
         """Return how long it may not happen for a sender from `now` on [ns]; 0: it may."""
         if sender not in self._times and len(self._times) >= MOST_SENDERS:
             self._times = {name: times for name, times in self._times.items() if now - times[-1] < self._span}

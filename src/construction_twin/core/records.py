@@ -1,7 +1,7 @@
 """A frozen dataclass as plain JSON: one converter for all that travels as text. Standard library only.
 
 Keys are the fields' names, in their order; an enumeration is its name, a number that is nan or infinite null. What is written as
-seconds of whole ns, or only where there is a value, `as_seconds` and `left_out` say.
+seconds of whole ns, or only where there is a value, `seconds_field` and `optional_field` say.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from dataclasses import field, fields, is_dataclass
 from enum import Enum
 from typing import Any
 
-from construction_twin.core.sentences import told
+from construction_twin.core.sentences import templates_of
 from construction_twin.core.units import seconds
 
 _LEFT_OUT = "left out"
 #: What stands between items, and between key and value: with blanks, or as short as it can be.
 SPACED, COMPACT = (", ", ": "), (",", ":")
-#: What `as_seconds` says of a field: what is written for 0.
+#: What `seconds_field` says of a field: what is written for 0.
 _ZERO = "zero"
 
 
-class Says(dict):
+class SchemaKeywords(dict):
     """What a JSON Schema says of a value besides its type, in `Annotated`: pydantic reads it where schemas are made."""
 
     def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> dict[str, Any]:
@@ -31,20 +31,20 @@ class Says(dict):
 
 
 #: Of a number that may be nan, and of a time in whole ns, as JSON has them.
-OR_NULL, SECONDS = Says(type=["number", "null"]), Says(type="number")
+OR_NULL, SECONDS = SchemaKeywords(type=["number", "null"]), SchemaKeywords(type="number")
 
 
-def left_out() -> Any:
+def optional_field() -> Any:
     """Return a field, None where it is not given, that is written only where it is not None."""
     return field(default=None, metadata={_LEFT_OUT: True})
 
 
-def as_seconds(zero: float | None = 0.0) -> Any:
+def seconds_field(zero: float | None = 0.0) -> Any:
     """Return a field of a time in whole ns, 0 where it is not given, that is written in seconds, and 0 as `zero`."""
     return field(default=0, metadata={_ZERO: zero})
 
 
-def document(value: Any) -> Any:
+def json_value(value: Any) -> Any:
     """Return a record, or a value of one, as what `json.dumps` takes."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
@@ -58,19 +58,19 @@ def document(value: Any) -> Any:
             if item is not None or _LEFT_OUT not in each.metadata
         }
     if isinstance(value, Mapping):
-        return {key: document(item) for key, item in value.items()}
-    return [document(item) for item in value] if isinstance(value, (list, tuple)) else value
+        return {key: json_value(item) for key, item in value.items()}
+    return [json_value(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 
 def _written(value: Any, about: Mapping[str, Any]) -> Any:
     if _ZERO in about:
         return seconds(value) if value else about[_ZERO]
-    return document(value)
+    return json_value(value)
 
 
-def dumped(value: Any, marks: tuple[str, str] = COMPACT, said: bool = False) -> bytes:
-    """Return a record as JSON; `said`: with what another language needs of its sentences (`core.sentences.told`)."""
-    written, sentences = document(value), told(value) if said else {}
+def to_json(value: Any, separators: tuple[str, str] = COMPACT, translatable: bool = False) -> bytes:
+    """Return a record as JSON; `translatable`: with the templates of its sentences (`core.sentences.templates_of`)."""
+    written, sentences = json_value(value), templates_of(value) if translatable else {}
     if sentences:
         written["said"] = sentences
-    return json.dumps(written, allow_nan=False, separators=marks).encode()
+    return json.dumps(written, allow_nan=False, separators=separators).encode()

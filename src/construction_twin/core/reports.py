@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Annotated, Any
 
-from construction_twin.core.records import OR_NULL, SECONDS, as_seconds
+from construction_twin.core.records import OR_NULL, SECONDS, seconds_field
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import seconds
 
@@ -149,7 +149,7 @@ class ExecutionReport:
         return self.state not in _NOTHING_PLAYED
 
     @property
-    def ended(self) -> str:
+    def final_outcome(self) -> str:
         """Outcome of the last plan; empty while one is under way."""
         return "" if self.playing else self.outcome
 
@@ -183,15 +183,15 @@ class TaskReport:
     answers: tuple[str, ...] = ()
     grip: str = ""
     scheduled_start: str = ""
-    begun: Annotated[int, OR_NULL] = as_seconds(None)
-    settled: Annotated[int, OR_NULL] = as_seconds(None)
+    begun: Annotated[int, OR_NULL] = seconds_field(None)
+    settled: Annotated[int, OR_NULL] = seconds_field(None)
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorkReport:
     """The tasks of a building model, in the order in which they can be done: `WorkTasks.msg`, and `work/tasks` on MQTT."""
 
-    stamp: Annotated[int, SECONDS] = as_seconds()
+    stamp: Annotated[int, SECONDS] = seconds_field()
     model: str
     model_hash: str
     schedule: str
@@ -249,13 +249,13 @@ class ToolReport:
     switches: Mapping[str, SwitchReport] = field(default_factory=dict)
     reason: str = NO_REPORT
 
-    def problem(self, signals: Iterable[Any]) -> str:
+    def mismatch(self, signals: Iterable[Any]) -> str:
         """Return why the inputs do not read what `Signal`s say, or are not known to, as a clause; "" when they do."""
         signals = tuple(signals)
         if not signals:
             return ""
         if not self.known:
-            return self.unknown()
+            return self.why_unknown()
         for signal in signals:
             if signal.name not in self.inputs:
                 return Sentence("the tool {tool} has no input {signal}", tool=repr(self.tool), signal=repr(signal.name))
@@ -265,7 +265,7 @@ class ToolReport:
                 )
         return ""
 
-    def unknown(self) -> str:
+    def why_unknown(self) -> str:
         """Return why nothing is known of the tool, as a clause; "" when it is known."""
         return (
             "" if self.known else Sentence("the tool's state is not known: {reason}", reason=self.reason or NO_REPORT)

@@ -1,6 +1,6 @@
 """Sentences for people: English, and what another language needs in order to say the same.
 
-A message carries what `told` returns; whoever receives it finds its sentences again with `heard`, and the page says them by their
+A message carries what `templates_of` returns; its receiver reads them with `sentences_of`, and the page translates them by their
 templates (web/locale). Standard library only.
 """
 
@@ -12,7 +12,7 @@ from functools import reduce
 from string import Formatter
 from typing import Any
 
-from construction_twin.core.units import for_people, to_people
+from construction_twin.core.units import display_text, to_display_unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,16 +25,16 @@ class Quantity:
     def __format__(self, form: str) -> str:
         """Return it in deg or mm with the decimals it needs, with two (``.2``), or in its own unit with six (``.6q``)."""
         if not form:
-            return for_people(self.value, self.unit)
-        number, unit = (self.value, self.unit) if form.endswith("q") else to_people(self.value, self.unit)
+            return display_text(self.value, self.unit)
+        number, unit = (self.value, self.unit) if form.endswith("q") else to_display_unit(self.value, self.unit)
         return f"{number:{form.removesuffix('q')}f} {unit}".strip()
 
 
 Value = str | int | float | Quantity
-#: Longest sentence that is heard, and how deep one may stand in others: a message may come from anybody.
+#: Longest sentence that is read, and how deep one may stand in others: a message may come from anybody.
 LONGEST, DEEPEST = 2000, 20
 #: Of each sentence that has values, by its text: `template`, and its `values` as they are written in it.
-Told = Mapping[str, Mapping[str, Any]]
+SentenceTemplates = Mapping[str, Mapping[str, Any]]
 
 
 class Sentence(str):
@@ -61,38 +61,40 @@ class Sentence(str):
         return Sentence.of, (str(self), self.template, dict(self.values))
 
 
-def both(*sentences: str) -> str:
+def join_sentences(*sentences: str) -> str:
     """Return sentences one after the other; those that are empty are left out."""
-    said = [sentence for sentence in sentences if sentence]
-    return reduce(lambda first, second: Sentence("{first}; {second}", first=first, second=second), said) if said else ""
+    texts = [sentence for sentence in sentences if sentence]
+    return (
+        reduce(lambda first, second: Sentence("{first}; {second}", first=first, second=second), texts) if texts else ""
+    )
 
 
-def replaced(text: str, part: str, other: str) -> str:
+def replace_part(text: str, part: str, other: str) -> str:
     """Return a sentence with another one in the place of the part that it has as a value."""
     if text == part or not isinstance(text, Sentence):
         return other if text == part else text
     items = text.values.items()
-    values = {name: replaced(each, part, other) if isinstance(each, str) else each for name, each in items}
+    values = {name: replace_part(each, part, other) if isinstance(each, str) else each for name, each in items}
     return Sentence.of(text.replace(part, other), text.template, values)
 
 
-def told(*parts: object) -> Told:
-    """Return what another language needs of all sentences in records, lists and texts. One without values is its own template."""
+def templates_of(*parts: object) -> SentenceTemplates:
+    """Return templates and values of all sentences in records, lists and texts, by text. One without values is its own template."""
     found: dict[str, Mapping[str, Any]] = {}
-    _tell(parts, found)
+    _collect_templates(parts, found)
     return found
 
 
-def _tell(part: object, found: dict[str, Mapping[str, Any]]) -> None:
+def _collect_templates(part: object, found: dict[str, Mapping[str, Any]]) -> None:
     if isinstance(part, Sentence):
         if part.values and part not in found:
             found[str(part)] = {"template": part.template, "values": _written(part)}
-            _tell(part.values, found)
+            _collect_templates(part.values, found)
         return
     if is_dataclass(part):
         part = [getattr(part, each.name) for each in fields(part)]
     for each in part.values() if isinstance(part, Mapping) else part if isinstance(part, (tuple, list)) else ():
-        _tell(each, found)
+        _collect_templates(each, found)
 
 
 def _written(sentence: Sentence) -> dict[str, str]:
@@ -102,13 +104,13 @@ def _written(sentence: Sentence) -> dict[str, str]:
     return {name: str(value) if isinstance(value, str) else format(value, form) for name, form, value in values}
 
 
-def heard(told_of: Any) -> dict[str, Sentence]:
-    """Return the sentences that a message has told of, by their texts; what does not make its text is left out."""
+def sentences_of(templates: Any) -> dict[str, Sentence]:
+    """Return the sentences of a message's templates, by their texts; one that does not make its text is left out."""
     known, levels = dict[str, Sentence](), dict[str, int]()
-    for text in sorted(told_of, key=len) if isinstance(told_of, dict) else ():
+    for text in sorted(templates, key=len) if isinstance(templates, dict) else ():
         try:
-            template, parts = told_of[text]["template"], [*Formatter().parse(told_of[text]["template"])]
-            values = {name: told_of[text]["values"][name] for _, name, *_ in parts if name is not None}
+            template, parts = templates[text]["template"], [*Formatter().parse(templates[text]["template"])]
+            values = {name: templates[text]["values"][name] for _, name, *_ in parts if name is not None}
             pieces = [piece for own, name, *_ in parts for piece in (own, values.get(name or "", ""))]
             is_made = sum(map(len, pieces)) == len(text) and "".join(pieces) == text
         except (KeyError, TypeError, ValueError):

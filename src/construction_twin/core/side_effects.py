@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 #: Failures that wait to be told; of more the oldest are dropped. All of them are counted.
-KEPT = 20
+MAX_UNWRITTEN = 20
 #: What is quoted of an exception [characters].
 _LONGEST = 300
 
@@ -50,7 +50,7 @@ class SideEffects:
     def __init__(self):
         self._lock = threading.Lock()
         self._counts: Counter[str] = Counter()
-        self._unwritten: deque[Failure] = deque(maxlen=KEPT)
+        self._unwritten: deque[Failure] = deque(maxlen=MAX_UNWRITTEN)
         self._last = ""
 
     def run(self, what: str, part: Callable[..., _Result], *arguments: object) -> _Result | None:
@@ -65,7 +65,7 @@ class SideEffects:
                 self._last = failure.sentence
             return None
 
-    def take(self) -> list[Failure]:
+    def pop_failures(self) -> list[Failure]:
         """Return what has failed since the last call, oldest first, to be written to a log."""
         with self._lock:
             failures = list(self._unwritten)
@@ -74,18 +74,20 @@ class SideEffects:
 
     @property
     def unwritten(self) -> bool:
-        """Whether something has failed since the last `take`."""
+        """Whether something has failed since the last `pop_failures`."""
         return bool(self._unwritten)
 
     def write(self, log: Callable[[str, str], object], failures: list[Failure] | None = None) -> None:
-        """Write failures, by default what `take` returns, to a log as `rospy.logerr`; not for a thread that must not wait."""
-        failures = self.take() if failures is None else failures
+        """Write failures, by default those of `pop_failures`, to a log as `rospy.logerr`; not for a thread that must not wait."""
+        failures = self.pop_failures() if failures is None else failures
         for failure in failures:
             self.run("the log", log, "%s", f"{failure.sentence}\n{failure.trace}")
         if failures:
             with self._lock:
                 # otherwise a log that fails would be told of in the log, again and again
-                self._unwritten = deque((each for each in self._unwritten if each.what != "the log"), maxlen=KEPT)
+                self._unwritten = deque(
+                    (each for each in self._unwritten if each.what != "the log"), maxlen=MAX_UNWRITTEN
+                )
 
     @property
     def sentence(self) -> str:
@@ -102,7 +104,7 @@ class SideEffects:
             return dict(counts)
         return {f"{prefix}_{what.replace(' ', '_')}": count for what, count in counts}
 
-    def report(self) -> dict[str, object]:
+    def status_fields(self) -> dict[str, object]:
         """Return the values for `/diagnostics`; empty while nothing has failed."""
         counts = self.counts()
         if not counts:

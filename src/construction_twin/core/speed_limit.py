@@ -17,7 +17,7 @@ class LimitState(Enum):
 
     UNLIMITED = "unlimited"
     MISSING = "missing"
-    HEARD = "heard"
+    FRESH = "fresh"
     SILENT = "silent"
 
 
@@ -25,27 +25,27 @@ class SpeedLimit:
     """One source's limit, with a deadline: a source that falls silent is taken to ask for less, never for more.
 
     Args:
-        deadline: A source that was heard must be heard again within this time [s].
+        deadline: A source that was received once must be received again within this time [s].
         silent: Fraction of the speed while it is not; or the last limit, where that was lower.
 
     Attributes:
-        name, fraction: Who was heard last, and what it asked for; "" and 1 before the first time.
+        name, fraction: Who was received last, and what it asked for; "" and 1 before the first time.
         state, limit, reason: As of the last `update`: why, what is allowed, and one sentence for the operator.
     """
 
     def __init__(self, deadline: float, silent: float = 0.0, required: bool = False):
-        self.deadline, self._within = deadline, round(deadline * NANOSECONDS)
+        self.deadline, self._deadline_ns = deadline, round(deadline * NANOSECONDS)
         self._silent, self._required = silent, required
-        self.name, self.fraction, self._heard_at, self._sentence_heard = "", 1.0, 0, ""
+        self.name, self.fraction, self._received_at, self._received_sentence = "", 1.0, 0, ""
         self.state, self.limit, self.reason = LimitState.UNLIMITED, 1.0, ""
         self.update(0)
 
-    def hear(self, fraction: float, name: str, now: int) -> None:
-        """Take what a source says until the deadline; the caller has checked both."""
-        self.fraction, self.name, self._heard_at = fraction, name, now
+    def record(self, fraction: float, name: str, now: int) -> None:
+        """Store what a source asks for until the deadline; the caller has checked both."""
+        self.fraction, self.name, self._received_at = fraction, name, now
 
     def accept(self, fraction: float, name: str, now: int, words: str = "", sentence: str = "") -> None:
-        """Take what a source says, unless another one is heard: two that alternate would change the speed all the time.
+        """Check and store what a source asks for, unless another one is fresh: two in turns would change the speed all the time.
 
         `words` say why; `sentence` stands in place of one made of them, where the source says whose limit it passes on. After a
         PayloadError (``speed_limit``, ``speed_limit_source``) nothing has changed, and the deadline runs on.
@@ -59,22 +59,22 @@ class SpeedLimit:
             raise PayloadError(
                 "speed_limit_source", "a speed limit came without its sender's name; expected a node's name"
             )
-        if name != self.name and self.is_heard(now):
+        if name != self.name and self.is_fresh(now):
             two = f"{name} sent a speed limit while {self.name} does; let only one of them"
             raise PayloadError("speed_limit_source", two)
-        self.hear(fraction, name, now)
+        self.record(fraction, name, now)
         words = words.strip() or Sentence("no reason given")
-        said = Sentence("speed limit {limit:g} by {name}: {words}", limit=fraction, name=name, words=words)
-        self._sentence_heard, self.reason = sentence or said, ""
+        own = Sentence("speed limit {limit:g} by {name}: {words}", limit=fraction, name=name, words=words)
+        self._received_sentence, self.reason = sentence or own, ""
         self.update(now)
 
-    def is_heard(self, now: int) -> bool:
-        """Return whether a source was heard within the deadline, as of `now` [ns]."""
-        return bool(self.name) and now - self._heard_at <= self._within
+    def is_fresh(self, now: int) -> bool:
+        """Return whether a source was received within the deadline, as of `now` [ns]."""
+        return bool(self.name) and now - self._received_at <= self._deadline_ns
 
     def is_silent(self, now: int) -> bool:
         """Return whether a source was heard once, and has been silent for longer than the deadline at `now` [ns]."""
-        return bool(self.name) and not self.is_heard(now)
+        return bool(self.name) and not self.is_fresh(now)
 
     @property
     def fraction_when_silent(self) -> float:
@@ -83,8 +83,8 @@ class SpeedLimit:
 
     def update(self, now: int) -> float:
         """Return the fraction of the planned speed that is allowed at `now` [ns]."""
-        if self.is_heard(now):
-            state, asked = LimitState.HEARD, self.fraction
+        if self.is_fresh(now):
+            state, asked = LimitState.FRESH, self.fraction
         elif self.name:
             state, asked = LimitState.SILENT, self.fraction_when_silent
         elif self._required:
@@ -104,8 +104,8 @@ class SpeedLimit:
                 "speed limit {limit:g}: none was heard, and one is required; start a source of `speed_limit`",
                 limit=limit,
             )
-        if state is LimitState.HEARD:
-            return self._sentence_heard
+        if state is LimitState.FRESH:
+            return self._received_sentence
         return Sentence(
             "speed limit {limit:g}: {name} is silent for more than {deadline:g} s; check it, or start another source",
             limit=limit,

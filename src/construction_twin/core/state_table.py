@@ -53,7 +53,7 @@ class Rows(Generic[S, E, G, A]):
 Causes = Mapping[tuple[S, E], tuple[Row[S, E, G, A], ...]]
 
 
-def by_cause(table: tuple[Row[S, E, G, A], ...]) -> dict[tuple[S, E], tuple[Row[S, E, G, A], ...]]:
+def rows_by_event(table: tuple[Row[S, E, G, A], ...]) -> dict[tuple[S, E], tuple[Row[S, E, G, A], ...]]:
     """Return the rows for each state and event, in the order in which they are tried: the first whose guard holds applies."""
     states, events = type(table[0].state), type(table[0].event)
     return {

@@ -34,7 +34,7 @@ class TravelTime:
             return 0
         return received - stamp - self._shortest - round((received - self._at) * MAX_DRIFT)
 
-    def take(self, stamp: int, received: int) -> int:
+    def record(self, stamp: int, received: int) -> int:
         """Return the same, itself included; 0 for one that is at least as quick as all before it: it is the new reference."""
         travelled = received - stamp
         if self._shortest is None:

@@ -31,11 +31,11 @@ def bind(host: str, port: int) -> socket.socket:
             "TestServer) may hold the port, or the address is not this machine's"
         ) from error
     sock.setblocking(False)
-    ask_for_stamps(sock)
+    enable_timestamps(sock)
     return sock
 
 
-def ask_for_stamps(sock: socket.socket) -> bool:
+def enable_timestamps(sock: socket.socket) -> bool:
     """Let the kernel stamp the datagrams that come, which `receive` returns then; return whether it can (Linux)."""
     if sys.platform != "linux":
         return False

@@ -44,7 +44,7 @@ def from_wire(values: Sequence[float], linear: Sequence[bool]) -> tuple[float, .
     return tuple(value / 1e3 if slides else math.radians(value) for value, slides in zip(values, linear, strict=True))
 
 
-def to_people(value: float, unit: str) -> tuple[float, str]:
+def to_display_unit(value: float, unit: str) -> tuple[float, str]:
     """Convert a quantity to the unit in which a person enters it: rad to deg, m to mm, alone or over a time; others stay."""
     base, slash, per = unit.partition("/")
     if base == "rad":
@@ -52,17 +52,17 @@ def to_people(value: float, unit: str) -> tuple[float, str]:
     return (value * 1e3, f"mm{slash}{per}") if base == "m" else (value, unit)
 
 
-def from_people(value: float, unit: str) -> tuple[float, str]:
-    """Convert back what `to_people` has converted."""
+def from_display_unit(value: float, unit: str) -> tuple[float, str]:
+    """Convert back what `to_display_unit` has converted."""
     base, slash, per = unit.partition("/")
     if base == "deg":
         return math.radians(value), f"rad{slash}{per}"
     return (value / 1e3, f"m{slash}{per}") if base == "mm" else (value, unit)
 
 
-def for_people(value: float, unit: str) -> str:
-    """Return a quantity as a person enters it, by `to_people`, with its unit."""
-    value, unit = to_people(value, unit)
+def display_text(value: float, unit: str) -> str:
+    """Return a quantity as a person enters it, by `to_display_unit`, with its unit."""
+    value, unit = to_display_unit(value, unit)
     # six digits, of a position as many decimals as the wire may have: what is out of range by the last one shows it
     text = f"{value:.6f}" if "/" not in unit and abs(value) < 1e6 else f"{value:.6g}"
     text = text.rstrip("0").rstrip(".") if "." in text and "e" not in text else text

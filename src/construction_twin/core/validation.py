@@ -108,7 +108,7 @@ _TYPES = {"int", "float", "str", "bool", "none", "list", "tuple", "dict"}
 
 
 def _expected(problem: Mapping[str, Any], known: set[str]) -> str:
-    kind, said = problem["type"], problem["msg"]
+    kind, message = problem["type"], problem["msg"]
     if kind == "missing":
         return "this key"
     if kind == "extra_forbidden":
@@ -116,10 +116,10 @@ def _expected(problem: Mapping[str, Any], known: set[str]) -> str:
         return f"no such key; did you mean {near[0]}?" if near else "no such key"
     if kind in ("value_error", "assertion_error"):
         # of our own validators
-        return str(problem.get("ctx", {}).get("error", said)).removeprefix("expected ")
+        return str(problem.get("ctx", {}).get("error", message)).removeprefix("expected ")
     if kind == "literal_error":
         return re.sub(r"'([^']+)'", r"\1", problem["ctx"]["expected"])
     if kind == "string_pattern_mismatch":
-        return PATTERNS.get(problem["ctx"]["pattern"], said)
-    expected = _TOO_MUCH.sub("", _SHOULD.sub("", said))
+        return PATTERNS.get(problem["ctx"]["pattern"], message)
+    expected = _TOO_MUCH.sub("", _SHOULD.sub("", message))
     return _KINDS.get(expected, expected)

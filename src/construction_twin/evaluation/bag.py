@@ -23,7 +23,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from construction_twin.core.errors import NOT_OPENED, ConstructionTwinError, FileError, problem_of
+from construction_twin.core.errors import NOT_OPENED, ConstructionTwinError, FileError, system_message
 from construction_twin.core.share import share_file
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation.recording import (
@@ -119,9 +119,9 @@ def open_bag(path: str | Path) -> Iterator[Bag]:
         raise FileError(str(path), error) from error
     except (*_DAMAGED, OSError) as error:
         if "not indexed" in str(error):
-            said = f"{path} was not closed properly; run `rosbag reindex {path}` and try again"
-            raise ConstructionTwinError(said) from error
-        raise ConstructionTwinError(f"{path} cannot be read as a rosbag: {problem_of(error)}") from error
+            sentence = f"{path} was not closed properly; run `rosbag reindex {path}` and try again"
+            raise ConstructionTwinError(sentence) from error
+        raise ConstructionTwinError(f"{path} cannot be read as a rosbag: {system_message(error)}") from error
 
 
 @cache

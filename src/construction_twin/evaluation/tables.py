@@ -179,10 +179,10 @@ def render_tables(summary: Mapping, console: Console | None = None) -> None:
 
 def summary_lines(summary: Mapping) -> list[str]:
     """Return the sentences that stand below the tables."""
-    said = [f"{name}: {value}" + (f" (paper {paper})" if paper else "") for name, value, paper in facts(summary)]
+    fact_lines = [f"{name}: {value}" + (f" (paper {paper})" if paper else "") for name, value, paper in facts(summary)]
     rates = "rates: " + "   ".join(f"{name} {shown(rate, '.3f')} Hz" for name, rate in summary["rate_hz"].items())
     times = [_times("round trip", summary["round_trip_ms"], "ms"), _times("RSI reply time", summary["reply_us"], "us")]
-    return [*said, *times, rates, *remarks(summary)]
+    return [*fact_lines, *times, rates, *remarks(summary)]
 
 
 def remarks(summary: Mapping) -> list[str]:

@@ -23,10 +23,10 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.engagement import Engagement, check_way_back
 from construction_twin.execution.executor import Executor
 from construction_twin.execution.playback import START_TOLERANCE
-from construction_twin.execution.segment_run import awaited, lacks
+from construction_twin.execution.segment_run import tool_missing, tool_pending
 from construction_twin.execution.states import ACTIVE, ExecutorState
 from construction_twin.monitor.states import SyncState
-from construction_twin.review.plan_under_review import APPROVED, REFUSED, REJECTED, Ending, Verdict, prove_hash
+from construction_twin.review.plan_under_review import APPROVED, REFUSED, REJECTED, ExecutionEnd, Verdict, check_hash
 from construction_twin.review.record import Release
 from construction_twin.review.rehearsal_report import RehearsalCheck
 from construction_twin.robot.description import RobotModel
@@ -47,13 +47,13 @@ class ConflictVerdicts:
 
     def __init__(self, name: str = ""):
         self.name = name
-        self._plan_id, self._problem, self._at = "", "", 0
+        self._plan_id, self._obstacle, self._at = "", "", 0
 
     def on_verdict(self, plan_id: str, problem: str, now: int) -> None:
-        """Take a verdict: why a plan must not be played; empty: its path is free."""
-        self._plan_id, self._problem, self._at = plan_id, problem, now
+        """Store a verdict: why a plan must not be played; empty: its path is free."""
+        self._plan_id, self._obstacle, self._at = plan_id, problem, now
 
-    def problem(self, plan_id: str, now: int) -> str:
+    def obstacle(self, plan_id: str, now: int) -> str:
         """Return why a plan must not start, as one sentence; empty: nothing is against it."""
         if not self.name:
             return ""
@@ -61,11 +61,11 @@ class ConflictVerdicts:
             return Sentence("its path was not checked against {name} yet; does `neighbour` run?", name=self.name)
         if now - self._at > VERDICT_TIMEOUT:
             return Sentence("its path is not checked against {name} any more; does `neighbour` run?", name=self.name)
-        return self._problem
+        return self._obstacle
 
 
 @dataclass(frozen=True)
-class WithoutPerson:
+class AutoApproval:
     """Which plans need no person: by their sources, or the names of clients that these end with.
 
     Whoever asks for a plan chooses these words: they are no proof of who it was.
@@ -107,7 +107,7 @@ class Approval:
     Recording waits for a disk, so it happens outside of the `lock` that is held around every use of the executor.
 
     Args:
-        record: Called with each approval and release before it is carried out, with one that is refused, and with the Ending of an
+        record: Called with each approval and release before it is carried out, with one that is refused, and with the end of an
             execution that could then not begin. A rejection's record is the caller's.
         clock: Returns the present moment.
 
@@ -120,7 +120,7 @@ class Approval:
     def __init__(
         self,
         executor: Executor,
-        record: Callable[[Verdict | Ending | Release], None],
+        record: Callable[[Verdict | ExecutionEnd | Release], None],
         lock: AbstractContextManager,
         clock: Callable[[], Moment],
     ):
@@ -132,8 +132,8 @@ class Approval:
         self.obstacle, self.overridable = "", False
         self._started = clock()
         # one verdict after the other: the record must keep the order in which verdicts took effect
-        self._one_verdict_at_a_time = threading.RLock()
-        # of the plan that waits, for `approve_by_itself`: its id, and when it was seen first [ns]
+        self._verdict_lock = threading.RLock()
+        # of the plan that waits, for `approve_automatically`: its id, and when it was seen first [ns]
         self._waiting, self._waits_since = "", 0
 
     def offer(self, plan: Plan) -> None:
@@ -156,7 +156,7 @@ class Approval:
                 self._executor.offer(plan, left)
         except ReviewError as error:
             with self._lock:
-                self._executor.tell_withdrawn(plan, str(error))
+                self._executor.record_withdrawal(plan, str(error))
             raise
 
     def review(
@@ -189,14 +189,14 @@ class Approval:
             return verdict
         # before the verdicts that are waited for
         moment = self._clock() if seen is None else seen
-        with self._one_verdict_at_a_time:
+        with self._verdict_lock:
             try:
-                self._approval_left(moment)
+                self._approval_time_left(moment)
                 with self._lock:
                     plan = self._executor.under_review.plan
                 if plan is not None and plan.id == plan_id:
                     # once, outside of the lock: a plan cannot change, so that it holds when it is carried out
-                    prove_hash(plan)
+                    check_hash(plan)
                 with self._lock:
                     verdict = self._examine(plan_id, plan_hash, True, reviewer, reason, override)
             except ReviewError as error:
@@ -211,10 +211,10 @@ class Approval:
                 # something happened while it was written down: the record is corrected
                 if verdict.plan is not None:
                     reason = Sentence("not started: {reason}", reason=str(error))
-                    self._record(Ending(verdict.plan, "dropped", reason))
+                    self._record(ExecutionEnd(verdict.plan, "dropped", reason))
                 raise
 
-    def approve_by_itself(self, now: int, which: WithoutPerson = WithoutPerson(every=True)) -> Verdict | None:
+    def approve_automatically(self, now: int, which: AutoApproval = AutoApproval(every=True)) -> Verdict | None:
         """Approve the waiting plan as soon as it may start; withdraw it when it may not. None: there is nothing to do yet.
 
         `which` says which plans need no person. RecordError when it cannot be recorded; the plan is withdrawn.
@@ -236,7 +236,7 @@ class Approval:
                 review = self._executor.under_review
                 if review.plan is not None and review.plan.id == plan.id:
                     why = Sentence("auto_approve: {reason}", reason=str(error))
-                    self._executor.tell_withdrawn(review.clear(), why)
+                    self._executor.record_withdrawal(review.clear(), why)
             if isinstance(error, RecordError):
                 raise
             return None
@@ -249,7 +249,7 @@ class Approval:
         with self._lock:
             if seen is None:
                 return self._executor.resume()
-            left, problem = self._left(seen)
+            left, problem = self._time_left(seen)
             if problem:
                 raise ExpiredError(Sentence("the resume is {problem}", problem=problem))
             if seen.at <= self._executor.rested:
@@ -268,12 +268,12 @@ class Approval:
         asked = self._clock()
         self._record(release)
         try:
-            if problem := self._left(asked)[1]:
+            if problem := self._time_left(asked)[1]:
                 raise ExpiredError(Sentence("the release is {problem}", problem=problem))
             with self._lock:
                 if self._releasable() is not left:
                     raise ExecutionError(Sentence("the arm was left in another engaged segment meanwhile; look again"))
-                self._executor.engagement.end()
+                self._executor.engagement.clear()
         except (ExecutionError, ExpiredError) as error:
             # something happened while it was written down: the record is corrected
             self._record(replace(release, refused=str(error)))
@@ -288,8 +288,8 @@ class Approval:
 
     # -- what is against it
 
-    def look_for_obstacle(self) -> None:
-        """Look anew why the plan under review could not be approved now, and whether only its rehearsal is against it."""
+    def update_obstacle(self) -> None:
+        """Find anew why the plan under review could not be approved now, and whether only its rehearsal is against it."""
         with self._lock:
             plan = self._executor.under_review.plan
             self.obstacle, self.overridable = "", False
@@ -311,9 +311,9 @@ class Approval:
         idle = executor.state is ExecutorState.IDLE and executor.sync is SyncState.IN_SYNC and not executor.unarmed
         if not idle or plan is None or not review.scene or not review.scene_alive:
             return False
-        if awaited(executor.tool, plan) or (self.rehearsal.awaits(plan) and not back(plan)):
+        if tool_pending(executor.tool, plan) or (self.rehearsal.awaits(plan) and not back(plan)):
             return False
-        return not self.neighbour.problem(plan.id, executor.now)
+        return not self.neighbour.obstacle(plan.id, executor.now)
 
     def _check_start(self, plan: Plan, override: bool) -> None:
         """Raise ReviewError where the plan under review may not start now, naming what is against it."""
@@ -328,26 +328,26 @@ class Approval:
             )
         if executor.unarmed:
             raise ReviewError(Sentence("the arm is not armed ({reason}); approve when it is", reason=executor.unarmed))
-        problem = self.neighbour.problem(plan.id, executor.now)
+        problem = self.neighbour.obstacle(plan.id, executor.now)
         engagement = executor.engagement
         if not problem and engagement.engaged and not engagement.is_way_back(plan):
             problem = engagement.sentence
         if not problem and plan.segments:
             first = plan.segments[0].requires
-            problem = lacks(tool, plan) or tool.problem(first)
+            problem = tool_missing(tool, plan) or tool.mismatch(first)
             if not problem and engagement.left is not None and set(first) != set(engagement.left.requires(tool)):
                 problem = Sentence("the tool reads something else since the way back was planned; call plan_way_back")
         if problem:
             raise ReviewError(Sentence("plan {plan} may not start: {reason}", plan=plan.id, reason=problem))
         executor.under_review.check_scene()
-        if not override and (unrehearsed := self._rehearsal_problem(plan)):
+        if not override and (unrehearsed := self._rehearsal_obstacle(plan)):
             raise ReviewError(unrehearsed)
         assert executor.setpoint is not None  # in IDLE there always is one
         check_start_pose(plan, executor.setpoint, executor.robot)
 
-    def _rehearsal_problem(self, plan: Plan) -> str:
+    def _rehearsal_obstacle(self, plan: Plan) -> str:
         """Return why its rehearsal is against a plan; empty: it is not. The way back of an engaged arm needs none."""
-        return "" if self._executor.engagement.is_way_back(plan) else self.rehearsal.problem(plan)
+        return "" if self._executor.engagement.is_way_back(plan) else self.rehearsal.obstacle(plan)
 
     def _releasable(self) -> Engagement:
         """Return the engagement that could be ended now, by a person who has freed the arm."""
@@ -367,21 +367,21 @@ class Approval:
         overridden = override is not None
         if approve:
             self._check_start(plan, overridden)
-        rehearsal = self.rehearsal.on_record(plan, overridden)
+        rehearsal = self.rehearsal.rehearsed(plan, overridden)
         if override is not None:
             self._check_override(plan, plan_hash, reason, override)
         return Verdict(APPROVED if approve else REJECTED, plan.id, plan.hash, reviewer, reason, plan, rehearsal)
 
     def _check_override(self, plan: Plan, plan_hash: str, reason: str, seen: str) -> None:
         """Raise ReviewError when there is nothing to override, or it is not what was seen, or the reviewer does not say why."""
-        problem = self._rehearsal_problem(plan)
+        problem = self._rehearsal_obstacle(plan)
         if not problem:
             raise ReviewError(
                 Sentence("plan {plan} needs no rehearsal, or has passed it: nothing to override", plan=plan.id)
             )
         if not plan_hash:
             raise ReviewError(Sentence("to override the rehearsal of plan {plan}, name the plan's hash", plan=plan.id))
-        report = self.rehearsal.of(plan)
+        report = self.rehearsal.report_of(plan)
         if seen != (report.hash if report is not None else ""):
             now = Sentence(
                 "the rehearsal of plan {plan} says something else than was seen: {now}", plan=plan.id, now=problem
@@ -390,20 +390,20 @@ class Approval:
         if not reason.strip():
             raise ReviewError(Sentence("to override the rehearsal of plan {plan}, say why", plan=plan.id))
 
-    def _left(self, moment: Moment) -> tuple[int, str]:
+    def _time_left(self, moment: Moment) -> tuple[int, str]:
         """Return how long a person's word may still wait for motion [ns], and why that is over; "" while it is not."""
         now = self._clock()
         return LIFETIME - (now.at - moment.at), staleness(moment, now)
 
-    def _approval_left(self, moment: Moment) -> int:
-        left, problem = self._left(moment)
+    def _approval_time_left(self, moment: Moment) -> int:
+        left, problem = self._time_left(moment)
         if problem:
             raise ExpiredError(Sentence("the approval is {problem}", problem=problem))
         return left
 
     def _begin_approved(self, verdict: Verdict, moment: Moment) -> None:
         """Begin what an approval that was recorded is for, if it still may."""
-        left, known = self._approval_left(moment), verdict.rehearsal
+        left, known = self._approval_time_left(moment), verdict.rehearsal
         override = known.hash if known is not None and known.overridden else None
         self._examine(verdict.plan_id, verdict.plan_hash, True, verdict.reviewer, verdict.reason, override)
         plan = self._executor.under_review.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
@@ -413,5 +413,5 @@ class Approval:
         with self._lock:
             plan = self._executor.under_review.plan
             known = plan if plan is not None and plan.id == plan_id else None
-            rehearsal = self.rehearsal.on_record(known, False) if known is not None else None
+            rehearsal = self.rehearsal.rehearsed(known, False) if known is not None else None
         self._record(Verdict(REFUSED, plan_id, plan_hash, reviewer, reason, known, rehearsal))

@@ -1,6 +1,6 @@
 """Engaged: an arm that was left inside an engaged segment may only go back along the path that it has executed.
 
-What must be on the disk before the arm moves, and whether it is, stands in `EngagementKeeper`. Angles in rad, times in s.
+What must be on the disk before the arm moves, and whether it is, stands in `EngagementStore`. Angles in rad, times in s.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from construction_twin.core.errors import ConfigurationError, ExecutionError, ReviewError, problem_of
-from construction_twin.core.files import read_file, write_whole
+from construction_twin.core.errors import ConfigurationError, ExecutionError, ReviewError, system_message
+from construction_twin.core.files import read_file, write_atomically
 from construction_twin.core.reports import ToolReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
@@ -59,7 +59,7 @@ class Engagement:
 
     def requires(self, tool: ToolReport) -> Signals:
         """Return what a way back must require: the last that holds now; the first while none does."""
-        return next((one for one, _ in reversed(self.holding) if not tool.problem(one)), self.holding[0][0])
+        return next((one for one, _ in reversed(self.holding) if not tool.mismatch(one)), self.holding[0][0])
 
     def scenes_of(self, requires: Signals) -> tuple[str, ...]:
         """Return the hashes of the scenes in which a way back may require this."""
@@ -90,7 +90,7 @@ def holding_of(segment: Segment) -> Holding:
     return *before, (after, segment.scene_after)
 
 
-class EngagementKeeper:
+class EngagementStore:
     """Which engagement there is, and which of it is on the disk, where the executor before this one may have left one.
 
     Attributes:
@@ -102,7 +102,7 @@ class EngagementKeeper:
 
     def __init__(self, found: Engagement | None = None):
         self.present = self.written = found
-        self.engaged = self._unseen = found is not None
+        self.engaged = self._pose_unknown = found is not None
         self.way_back: tuple[str, Engagement] | None = None
 
     @property
@@ -124,38 +124,38 @@ class EngagementKeeper:
         return self.engaged and self.way_back == (plan.id, self.present)
 
     @property
-    def settled(self) -> bool:
-        """Whether the disk says what is so."""
+    def saved(self) -> bool:
+        """Whether `present` is on the disk."""
         return self.written is self.present
 
-    def settle(self, lock: AbstractContextManager, file: Path) -> None:
-        """Have the disk say what is so; not under the lock, which it holds to look. Raises ExecutionError."""
+    def save(self, lock: AbstractContextManager, file: Path) -> None:
+        """Save `present`; holds the lock only to read and to confirm it. Raises ExecutionError."""
         with lock:
-            present, settled = self.present, self.settled
-        if not settled:
+            present, saved = self.present, self.saved
+        if not saved:
             write_engagement(file, present)
             with lock:
                 self.written = present
 
-    def leave_inside(self, engagement: Engagement) -> None:
-        """The arm was left inside."""
+    def mark_engaged(self, engagement: Engagement) -> None:
+        """Record that the arm was left inside."""
         self.present, self.engaged = engagement, True
 
-    def end(self) -> None:
-        """The arm is out, or was freed."""
+    def clear(self) -> None:
+        """Record that the arm is out, or was freed."""
         self.present, self.engaged = None, False
 
-    def see(self, pose: Sequence[float]) -> None:
-        """Take the arm's pose at the start, shape (n,): an arm at the beginning of the path is not inside."""
-        if not self._unseen or self.present is None:
+    def on_pose(self, pose: Sequence[float]) -> None:
+        """Clear at the first pose, shape (n,), where it is at the beginning of the path: such an arm is not inside."""
+        if not self._pose_unknown or self.present is None:
             return
-        self._unseen = False
+        self._pose_unknown = False
         path = self.present.path
-        entry = path.entry(np.asarray(pose, dtype=np.float64))
+        entry = path.nearest_point(np.asarray(pose, dtype=np.float64))
         away = np.abs(path.trajectory.sample(entry.time)[0] - path.trajectory.positions[0]).max()
         # a path that comes by there again has its last passage later
         if max(entry.distance, away) <= WAY_BACK_TOLERANCE and entry.time <= 0.5 * path.end:
-            self.end()
+            self.clear()
 
 
 # -- the file, there as long as the arm is inside an engaged segment
@@ -182,7 +182,7 @@ def write_engagement(path: Path, engagement: Engagement | None) -> None:
         }
         columns = zip(trajectory.times, trajectory.positions, trajectory.velocities, trajectory.accelerations)
         rows = [json.dumps([float(time), *(values.tolist() for values in row)]) for time, *row in columns]
-        write_whole(path, json.dumps(fields)[:-1] + ', "waypoints": [\n' + ",\n".join(rows) + "\n]}\n")
+        write_atomically(path, json.dumps(fields)[:-1] + ', "waypoints": [\n' + ",\n".join(rows) + "\n]}\n")
     except OSError as error:
         values = {"path": str(path), "problem": error.strerror or str(error)}
         raise ExecutionError(
@@ -211,7 +211,7 @@ def read_engagement(path: Path, joint_names: Sequence[str]) -> Engagement | None
         return None
     except (OSError, ValueError, KeyError, TypeError, TrajectoryError) as error:
         expected = "the file that an executor of this robot wrote; free the arm, and only then delete the file"
-        raise ConfigurationError(str(path), f"{type(error).__name__}: {problem_of(error)}", expected) from error
+        raise ConfigurationError(str(path), f"{type(error).__name__}: {system_message(error)}", expected) from error
     left = Engagement(path=ExecutedPath(trajectory, end), holding=holding, **words)
     # one that was only expected
     return left if left.reason else replace(left, reason="the executor ended before the plan did")
@@ -234,11 +234,11 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
         raise ReviewError(Sentence("plan {plan} requires {found} of the tool, not what it held: {remedy}", **values))
     scenes = engagement.scenes_of(segment.requires)
     if plan.scene not in scenes:
-        problem = scene_problem(plan.scene, scenes)
+        problem = scene_obstacle(plan.scene, scenes)
         raise ReviewError(Sentence("plan {plan} is not the way back: {problem}", plan=plan.id, problem=problem))
     trajectory, path = plan.trajectory, engagement.path
     start = trajectory.positions[0]
-    entry = path.entry(start)
+    entry = path.nearest_point(start)
     if entry.distance > LARGEST_ENTRY:
         raise ReviewError(
             Sentence(
@@ -265,7 +265,7 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
         )
 
 
-def scene_problem(scene: str, scenes: Sequence[str]) -> str:
+def scene_obstacle(scene: str, scenes: Sequence[str]) -> str:
     """Return why an engaged arm cannot go back in a scene, and what to do, as a clause; `scenes`: those in which it can."""
     wanted = " or ".join(each[:12] for each in scenes) or "none that is known"
     found = {"scene": scene[:12], "wanted": wanted, "by_hand": _BY_HAND}

@@ -9,7 +9,7 @@ from __future__ import annotations
 from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.freshness import LIFETIME
 from construction_twin.core.reports import ToolReport
-from construction_twin.core.sentences import Sentence, replaced
+from construction_twin.core.sentences import Sentence, replace_part
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.engagement import Engagement
 from construction_twin.execution.machine import ExecutorMachine, TwinPose
@@ -18,7 +18,7 @@ from construction_twin.execution.segment_run import ToolOrder
 from construction_twin.execution.states import ACTIVE, ROWS, SURVIVED, ExecutorEvent, ExecutorState
 from construction_twin.monitor.settings import REPLAN, RESUME
 from construction_twin.monitor.states import SyncState
-from construction_twin.review.plan_under_review import Ending, Verdict
+from construction_twin.review.plan_under_review import ExecutionEnd, Verdict
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 
@@ -113,17 +113,17 @@ class Executor(ExecutorMachine):
             return self.limit.sentence("")
         return self.limit.reason if self.limit.fraction < 1.0 else Sentence("as its motion was due too late")
 
-    def take_orders(self) -> list[ToolOrder]:
+    def pop_orders(self) -> list[ToolOrder]:
         """Return what is to be asked of the tool since the last call, in this order."""
         orders, self.orders = self.orders, []
-        return orders if self.segment_run is None else orders + self.segment_run.take_orders()
+        return orders if self.segment_run is None else orders + self.segment_run.pop_orders()
 
-    def take_events(self) -> list[Verdict | Ending]:
+    def pop_events(self) -> list[Verdict | ExecutionEnd]:
         """Return what is new, to be published. Rejections are recorded already."""
         events, self.events = self.events, []
         return events
 
-    def take_act(self) -> bool:
+    def pop_act_flag(self) -> bool:
         """Return whether a person's stop, pause or rejection is to be told of: since the last call, or while the arm brakes."""
         acted, self._acted = self._acted, self._acted and self.state in _BRAKING
         return acted
@@ -141,7 +141,7 @@ class Executor(ExecutorMachine):
         """
         self.sync, self._agreed, self._policy, self._passed = state, agreed, policy, held_stamp
         if self._closed and state is SyncState.IN_SYNC:
-            self.cause = replaced(self.cause, self._closed, Sentence("the gate held, and is open again"))
+            self.cause = replace_part(self.cause, self._closed, Sentence("the gate held, and is open again"))
             self._closed = ""
         if self.state not in ACTIVE:
             return
@@ -166,13 +166,13 @@ class Executor(ExecutorMachine):
         """Take the present scene's hash: what was planned for another one is withdrawn, stopped or ended."""
         scenes = {"before": self.under_review.scene[:12] or "none", "after": scene[:12]}
         withdrawn = self.under_review.on_scene(scene)
-        self.tell_withdrawn(withdrawn, Sentence("the scene changed from {before} to {after}; plan again", **scenes))
+        self.record_withdrawal(withdrawn, Sentence("the scene changed from {before} to {after}; plan again", **scenes))
         if self.state not in ACTIVE:
             return
         reason, work = Sentence("the scene changed from {before} to {after}", **scenes), self.segment_run
         if work is None and scene != self._played.plan.scene:
             self._on(ExecutorEvent.STOP, reason)
-        elif work is not None and not work.expects(scene):
+        elif work is not None and not work.allows_scene(scene):
             reason = Sentence("{change}, which was not planned {where}", change=reason, where=work.where)
             self._on(ExecutorEvent.LOST, reason)
 
@@ -185,14 +185,14 @@ class Executor(ExecutorMachine):
         """Take what is known of the tool, and the time of reception [ns]; a work plan that needs something else is stopped."""
         self.tool = report
         if self.segment_run is not None and self.state in ACTIVE:
-            if problem := self.segment_run.problem(report, now):
+            if problem := self.segment_run.obstacle(report, now):
                 self._on(ExecutorEvent.LOST, problem)
 
     def restart(self, reason: str, now: int) -> None:
         """Drop everything, plans asked for until `now` [ns] too, and wait for twin and arm to agree again."""
         # of a new session's arm nothing is known yet
         self.limit.waits = False
-        self.tell_withdrawn(self.under_review.void(now), reason)
+        self.record_withdrawal(self.under_review.void(now), reason)
         while self.state is not ExecutorState.WAITING:
             self._on(ExecutorEvent.NEW_SESSION, reason)
         self._on(ExecutorEvent.NEW_SESSION, reason)
@@ -210,11 +210,11 @@ class Executor(ExecutorMachine):
         if left is not None and left is not way_back:
             reason = self.engagement.sentence
             raise ReviewError(Sentence("plan {plan} cannot be reviewed: {reason}", plan=plan.id, reason=reason))
-        self.tell_withdrawn(self.under_review.offer(plan), Sentence("replaced by plan {plan}", plan=plan.id))
+        self.record_withdrawal(self.under_review.offer(plan), Sentence("replaced by plan {plan}", plan=plan.id))
         self.engagement.way_back = None if way_back is None else (plan.id, way_back)
 
     def reject(self, verdict: Verdict) -> None:
-        """Take a plan out of review because a person said no; tell it with the next `take_events`. Its record is the caller's."""
+        """Take a plan out of review because a person said no; tell it with the next `pop_events`. Its record is the caller's."""
         self._acted = True
         self.under_review.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
         self.events.append(verdict)
@@ -233,7 +233,7 @@ class Executor(ExecutorMachine):
         waiting = self.under_review.void(now)
         is_active = self.state in ACTIVE
         sentence = self._stop(reason) if is_active else Sentence("nothing is playing ({state})", state=self.state.name)
-        self.side_effects.run("the verdict on a waiting plan", self.tell_withdrawn, waiting, reason)
+        self.side_effects.run("the verdict on a waiting plan", self.record_withdrawal, waiting, reason)
         return sentence
 
     def stop_plan(self, plan_id: str, reason: str, now: int) -> str:
@@ -275,7 +275,7 @@ class Executor(ExecutorMachine):
         self._acted, self.rested = True, now
         before, plan = self.state, self._played.plan.id
         if before in (ExecutorState.PLAYING, ExecutorState.AT_BOUNDARY):
-            self.under_review.void_coming(now)
+            self.under_review.void_requests_before(now)
         self._on(ExecutorEvent.PAUSE, Sentence("pause requested"))
         if before is ExecutorState.AT_BOUNDARY:
             where = self.side_effects.run("where a pause rests", lambda: self._work.where)

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 from construction_twin.core.errors import ExecutionError
 from construction_twin.core.reports import ToolReport
-from construction_twin.core.sentences import Sentence, both
+from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.core.state_table import row_of
-from construction_twin.execution.engagement import REMEDY, Engagement, EngagementKeeper
+from construction_twin.execution.engagement import REMEDY, Engagement, EngagementStore
 from construction_twin.execution.playback import Playback, distance_along
 from construction_twin.execution.segment_run import SegmentRun, ToolOrder
 from construction_twin.execution.states import ACTIVE, OUTCOMES, ROWS, Action, ExecutorEvent, ExecutorState, Guard, Row
-from construction_twin.review.plan_under_review import EXECUTOR, WITHDRAWN, Ending, PlanUnderReview, Verdict
+from construction_twin.review.plan_under_review import EXECUTOR, WITHDRAWN, ExecutionEnd, PlanUnderReview, Verdict
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import Plan
 
@@ -55,16 +55,16 @@ class PlayRate:
         """What the plan is played at, as a fraction of its planned speed."""
         return 0.0 if self.waits else self.fraction
 
-    def trail(self, round_trip: float, servo_lag: float = 0.0) -> None:
-        """Take how long the arm trails the setpoints: the round trip, and what its servos trail beyond that [s]; nan: not known."""
+    def on_lag(self, round_trip: float, servo_lag: float = 0.0) -> None:
+        """Store how long the arm trails the setpoints: the round trip, and its servos' lag beyond that [s]; nan: unknown."""
         lag = round_trip + (servo_lag if 0.0 <= servo_lag < math.inf else 0.0)
         known = round_trip >= 0.0 and lag < math.inf
         self.lag = lag if known else 0.0
         if known:
             self.waits = lag >= (KEEPS_UP if self.waits else TRAILS)
 
-    def take(self, fraction: float, reason: str = "") -> None:
-        """Take a limit and why it is there; the path stays. ExecutionError, and no change, when it is no fraction."""
+    def set_fraction(self, fraction: float, reason: str = "") -> None:
+        """Store a limit and its reason; the path stays. ExecutionError, and no change, when it is no fraction."""
         # written so that a nan does not pass
         if not 0.0 <= fraction <= 1.0:
             raise ExecutionError(
@@ -117,10 +117,10 @@ class ExecutorMachine:
         self.limit = PlayRate()
         self.playback: Playback | None = None
         self.segment_run: SegmentRun | None = None
-        self.engagement = EngagementKeeper(left)
+        self.engagement = EngagementStore(left)
         self.under_review = PlanUnderReview()
         self.side_effects = SideEffects()
-        self.events: list[Verdict | Ending] = []
+        self.events: list[Verdict | ExecutionEnd] = []
         self.orders: list[ToolOrder] = []
         self.tool = ToolReport()
         self.now = 0
@@ -166,8 +166,8 @@ class ExecutorMachine:
         assert self.segment_run is not None  # only a work plan has boundaries
         return self.segment_run
 
-    def tell_withdrawn(self, plan: Plan | None, reason: str) -> None:
-        """Tell that a plan is not, or no longer, under review."""
+    def record_withdrawal(self, plan: Plan | None, reason: str) -> None:
+        """Queue the verdict that a plan is not, or no longer, under review."""
         if plan is not None:
             self.events.append(Verdict(WITHDRAWN, plan.id, plan.hash, EXECUTOR, reason, plan))
 
@@ -206,14 +206,14 @@ class ExecutorMachine:
             case Action.START_FROM_TWIN:
                 assert self._twin is not None  # the event says that its pose is known
                 self.setpoint, self._setpoint_stamp = self._twin.q, 0
-                self.engagement.see(self._twin.q)
+                self.engagement.on_pose(self._twin.q)
             case Action.FORGET_TWIN:
                 self._twin, self._agreed, self.setpoint = None, False, None
             case Action.PLAY:
                 assert self._approved is not None  # `begin` has set it
                 plan, self.outcome = self._approved, ""
                 self.playback = Playback(plan, self.robot)
-                self.orders += [] if self.segment_run is None else self.segment_run.take_orders()
+                self.orders += [] if self.segment_run is None else self.segment_run.pop_orders()
                 back = self.engagement.is_way_back(plan)
                 self.segment_run = SegmentRun(plan, self.engagement, back) if plan.segments else None
             case Action.BRAKE:
@@ -222,7 +222,7 @@ class ExecutorMachine:
             case Action.STAND:
                 self._played.rest_where(self._passed)
                 self._paused = row.state in (ExecutorState.PAUSING, ExecutorState.PAUSED)
-            case Action.NOTE_PAUSE:
+            case Action.PAUSE_AFTER_HOLD:
                 self._paused = True
             case Action.ARRIVE:
                 self._played.stand()
@@ -246,24 +246,24 @@ class ExecutorMachine:
             self.orders += work.end(finished, self._played.elapsed, sentence)
             if self.engagement.engaged and not was_engaged:
                 waiting = self.under_review.clear()
-                self.side_effects.run("the verdict on a waiting plan", self._tell_not_the_way_back, waiting)
+                self.side_effects.run("the verdict on a waiting plan", self._withdraw_for_way_back, waiting)
             if not finished and self.engagement.engaged:
                 sentence = Sentence("{end}; the arm is engaged: {remedy}", end=sentence, remedy=REMEDY)
             elif not finished:
                 sentence = Sentence(
                     "{end}: look at arm and tool, then plan the task again from where things are", end=sentence
                 )
-        self.events.append(Ending(self._played.plan, self.outcome, sentence))
+        self.events.append(ExecutionEnd(self._played.plan, self.outcome, sentence))
         return sentence
 
-    def _tell_not_the_way_back(self, plan: Plan | None) -> None:
-        self.tell_withdrawn(plan, Sentence("not the way back: {engaged}", engaged=self.engagement.sentence))
+    def _withdraw_for_way_back(self, plan: Plan | None) -> None:
+        self.record_withdrawal(plan, Sentence("not the way back: {engaged}", engaged=self.engagement.sentence))
 
     def _sentence(self, row: Row, reason: str) -> str:
         """Return why the next state is entered, in words for the operator."""
         if row.event is ExecutorEvent.GATE_HOLDS:
             if row.state is ExecutorState.STOPPING:
-                return both(self.cause, reason)
+                return join_sentences(self.cause, reason)
             if row.action is Action.LOSE:
                 plan = self._played.plan.id
                 return Sentence("{hold} at a setpoint that is none of plan {plan}", plan=plan, hold=reason)

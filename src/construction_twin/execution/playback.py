@@ -205,19 +205,21 @@ class Progress:
                 self._ramp.clear()
                 self._goal = rate
         if self._ramp:
-            return self._go(self._ramp.popleft())
+            return self._advance_by(self._ramp.popleft())
         target = self._goal * CYCLE_NS
         step = target if self._now.step == target else self._step_towards(target)
-        return self._go(_RampStep(step, step / CYCLE_NS, (step - self._now.step) / CYCLE_NS if step != target else 0.0))
+        return self._advance_by(
+            _RampStep(step, step / CYCLE_NS, (step - self._now.step) / CYCLE_NS if step != target else 0.0)
+        )
 
     def brake(self) -> tuple[float, ...]:
         """Go on by as little as the acceleration limits allow, whatever the jerk; return the setpoint [rad]."""
         self._ramp.clear()
         self._goal = 0.0
         step = self._nearest_allowed(0.0)
-        return self._go(_RampStep(step, step / CYCLE_NS, 0.0))
+        return self._advance_by(_RampStep(step, step / CYCLE_NS, 0.0))
 
-    def _go(self, step: _RampStep) -> tuple[float, ...]:
+    def _advance_by(self, step: _RampStep) -> tuple[float, ...]:
         self._elapsed += step.step
         self._now = step
         pose = self._ahead(0.0)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.execution.engagement import Engagement, EngagementKeeper, Holding, engagement_of, holding_of
+from construction_twin.execution.engagement import Engagement, EngagementStore, Holding, engagement_of, holding_of
 from construction_twin.execution.states import ExecutorEvent
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.segments import Segment, Signal, Switch
@@ -21,16 +21,16 @@ from construction_twin.robot.segments import Segment, Signal, Switch
 NO_ARM = Sentence("there is no physical arm (`arm:=none`), so nothing switches or reads a tool")
 
 
-def awaited(report: ToolReport, plan: Plan) -> str:
+def tool_pending(report: ToolReport, plan: Plan) -> str:
     """Return what passes by itself and is against a work plan, as a clause: its tool is not known yet. "" when nothing is."""
-    return report.unknown() if needs_tool(plan) and report.reason != NO_ARM else ""
+    return report.why_unknown() if needs_tool(plan) and report.reason != NO_ARM else ""
 
 
-def lacks(report: ToolReport, plan: Plan) -> str:
+def tool_missing(report: ToolReport, plan: Plan) -> str:
     """Return what a work plan needs of the tool and is not there, as a clause; "" when nothing is missing."""
     if not needs_tool(plan):
         return ""
-    if problem := awaited(report, plan) or report.unknown():
+    if problem := tool_pending(report, plan) or report.why_unknown():
         return problem
     if not report.tool:
         return Sentence("the gateway's configuration names no tool")
@@ -142,13 +142,13 @@ class Boundary:
             return self.confirmation
         return self.segment.requires if self.segment is not None and not self.fired else ()
 
-    def take_orders(self) -> list[ToolOrder]:
+    def pop_orders(self) -> list[ToolOrder]:
         """Return what is to be asked of the tool since the last call."""
         orders, self._orders = self._orders, []
         return orders
 
-    def observe(self, tool: ToolReport, now: int) -> None:
-        """Note what a report says of the switches; also while it is paused."""
+    def on_report(self, tool: ToolReport, now: int) -> None:
+        """Store what a report says of the switches; also while it is paused."""
         for order in self._ordered:
             report = tool.switches.get(order.id) if order.id else None
             if report is not None and report.state is SwitchState.FIRED and order.fired is None:
@@ -172,7 +172,7 @@ class Boundary:
 
         `scene`: hash of the present one, empty: not known. `may_switch`: whether a switch may be armed now.
         """
-        self.observe(tool, now)
+        self.on_report(tool, now)
         if not self._confirmed:
             return self._switch(stamp, now, tool, may_switch)
         if self._wanted_at is None:
@@ -191,7 +191,7 @@ class Boundary:
     # -- switches
 
     def _switch(self, stamp: int, now: int, tool: ToolReport, may_switch: bool) -> BoundaryEvent | None:
-        if problem := tool.unknown():
+        if problem := tool.why_unknown():
             return BoundaryEvent(ExecutorEvent.LOST, problem)
         if self._armed_at is None:
             if confirmed := self._confirmed_before(tool):
@@ -211,7 +211,7 @@ class Boundary:
     def _confirmed_before(self, tool: ToolReport) -> BoundaryEvent | None:
         """Tell of a switch that would confirm nothing: a sensor that is stuck reads the same before and after it."""
         for order in self._ordered:
-            if order.switch.confirm and not tool.problem(order.switch.confirm):
+            if order.switch.confirm and not tool.mismatch(order.switch.confirm):
                 stuck = Sentence(
                     "what confirms {switch} reads so already; look at sensor and tool", switch=_name(order)
                 )
@@ -262,7 +262,7 @@ class Boundary:
                         "{switch} was not reported as fired within {seconds:g} s", switch=name, seconds=seconds
                     )
                     late = BoundaryEvent(ExecutorEvent.TIMEOUT, words)
-            elif problem := tool.problem(order.switch.confirm):
+            elif problem := tool.mismatch(order.switch.confirm):
                 all_in = False
                 if now - order.fired > order.switch.timeout * NANOSECONDS:
                     words = Sentence(
@@ -302,12 +302,12 @@ class SegmentRun:
         at_boundary: Whether it stands at the end of that segment.
     """
 
-    def __init__(self, plan: Plan, keeper: EngagementKeeper, way_back: bool = False):
+    def __init__(self, plan: Plan, keeper: EngagementStore, way_back: bool = False):
         self.plan = plan
         self.number = -1
         self.at_boundary = True
         self.way_back = way_back
-        self._keeper = keeper
+        self._engagements = keeper
         self._engagement: Engagement | None = None
         self._coming: Engagement | None = None
         self._recording_since: int | None = None
@@ -345,29 +345,29 @@ class SegmentRun:
             return Sentence("waits for the tool")
         if self._boundary.wants_scene:
             return Sentence("waits for the scene {scene}", scene=self._boundary.scene_after[:12])
-        if self._recording_since is not None and not self._keeper.settled:
+        if self._recording_since is not None and not self._engagements.saved:
             return Sentence("waits for the disk")
         return Sentence("goes on")
 
     # -- events from outside
 
-    def take_orders(self) -> list[ToolOrder]:
+    def pop_orders(self) -> list[ToolOrder]:
         """Return what is to be asked of the tool since the last call."""
-        return self._boundary.take_orders() if self.at_boundary else []
+        return self._boundary.pop_orders() if self.at_boundary else []
 
-    def problem(self, tool: ToolReport, now: int) -> str:
-        """Take a report of the tool; return what it says against going on, as a clause, "" when nothing."""
+    def obstacle(self, tool: ToolReport, now: int) -> str:
+        """Return what a report of the tool says against going on, as a clause, "" when nothing."""
         segment = self.segment
         if segment is None:
             return ""
         if self.at_boundary:
-            self._boundary.observe(tool, now)
-            return tool.problem(self._boundary.required)
+            self._boundary.on_report(tool, now)
+            return tool.mismatch(self._boundary.required)
         if segment.switches and not tool.known:
-            return tool.unknown()
-        return tool.problem(segment.requires)
+            return tool.why_unknown()
+        return tool.mismatch(segment.requires)
 
-    def expects(self, scene: str) -> bool:
+    def allows_scene(self, scene: str) -> bool:
         """Return whether a scene is the present one, or at a boundary the one that was planned for."""
         segment = self.segment
         if segment is None:
@@ -407,8 +407,8 @@ class SegmentRun:
         if event is not None or not self._boundary.done:
             return event
         following = self.plan.segments[self.number + 1] if self.number + 1 < len(self.plan.segments) else None
-        if not self._recorded(following, now):
-            assert self._recording_since is not None  # `_recorded` has set it
+        if not self._is_recorded(following, now):
+            assert self._recording_since is not None  # `_is_recorded` has set it
             if now - self._recording_since > RECORD_TIMEOUT:
                 late = Sentence("the disk did not take what the way back needs; see the executor's log")
                 return BoundaryEvent(ExecutorEvent.TIMEOUT, late)
@@ -416,21 +416,21 @@ class SegmentRun:
         if following is None:
             return BoundaryEvent(ExecutorEvent.GOAL, Sentence("goal reached"))
         if following.switches and not tool.known:
-            return BoundaryEvent(ExecutorEvent.LOST, tool.unknown())
-        if problem := tool.problem(following.requires):
+            return BoundaryEvent(ExecutorEvent.LOST, tool.why_unknown())
+        if problem := tool.mismatch(following.requires):
             lost = Sentence("segment {name} cannot begin: {problem}", name=repr(following.name), problem=problem)
             return BoundaryEvent(ExecutorEvent.LOST, lost)
         return BoundaryEvent(ExecutorEvent.NEXT_SEGMENT)
 
-    def _recorded(self, following: Segment | None, now: int) -> bool:
+    def _is_recorded(self, following: Segment | None, now: int) -> bool:
         """Tell whether the disk says where the arm is about to be: an engaged segment, or none."""
         if self.way_back:
             return True
         if self._recording_since is None:
             self._recording_since = now
             engaged = following is not None and following.engaged
-            self._keeper.present = self._coming = engagement_of(self.plan, self.number + 1) if engaged else None
-        return self._keeper.settled
+            self._engagements.present = self._coming = engagement_of(self.plan, self.number + 1) if engaged else None
+        return self._engagements.saved
 
     # -- the end
 
@@ -440,20 +440,20 @@ class SegmentRun:
             self._boundary.void()
         if self.way_back:
             if finished:
-                self._keeper.end()
-            return self.take_orders()
+                self._engagements.clear()
+            return self.pop_orders()
         left, inside = self._engagement, 0.0
         if left is not None:
             # its path begins with the first of the engaged segments
             inside = elapsed - (self.plan.segments[self.number].end - left.path.trajectory.duration)
         if finished or left is None or inside <= 0.0:
-            self._keeper.end()
+            self._engagements.clear()
         else:
             path = replace(left.path, end=min(inside, left.path.trajectory.duration))
-            self._keeper.leave_inside(replace(left, path=path, holding=self._held_with(), reason=reason))
-        return self.take_orders()
+            self._engagements.mark_engaged(replace(left, path=path, holding=self._possible_readings(), reason=reason))
+        return self.pop_orders()
 
-    def _held_with(self) -> Holding:
+    def _possible_readings(self) -> Holding:
         """Return what the tool's inputs may read where the plan has ended, in the order of time, and the scene of each."""
         segment, boundary = self.segment, self._boundary
         assert segment is not None  # it is engaged

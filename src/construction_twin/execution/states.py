@@ -68,7 +68,7 @@ class Action(Enum):
     PLAY = "the plan begins with the next cycle"
     BRAKE = "brakes along the path as hard as the acceleration limits allow"
     STAND = "stands where the last setpoint that passed the gate was"
-    NOTE_PAUSE = "stays PAUSED when the gate opens"
+    PAUSE_AFTER_HOLD = "stays PAUSED when the gate opens"
     ARRIVE = "rests at the end of the segment"
     ENTER = "the next segment begins with the next cycle"
     VOID = "switches that are armed and have not fired are void"
@@ -115,7 +115,7 @@ TABLE: tuple[Row, ...] = (
     *rows(_S.PLAYING, _E.PAUSE, _S.PAUSING),
     *rows(_S.PAUSING, _E.PAUSE, _S.PAUSING),
     *rows(_S.PAUSED, _E.PAUSE, _S.PAUSED),
-    *rows(_S.HELD, _E.PAUSE, _S.HELD, Action.NOTE_PAUSE),
+    *rows(_S.HELD, _E.PAUSE, _S.HELD, Action.PAUSE_AFTER_HOLD),
     *rows(_S.AT_BOUNDARY, _E.PAUSE, _S.PAUSED, Action.VOID),
     *rows(_S.PAUSED, _E.RESUME, _S.AT_BOUNDARY, Action.REARM, Guard.BOUNDARY),
     *rows((_S.PAUSING, _S.PAUSED), _E.RESUME, _S.PLAYING),
@@ -146,4 +146,4 @@ TABLE: tuple[Row, ...] = (
     *rows((_S.PAUSED, _S.AT_BOUNDARY), _E.LOST, _S.IDLE, Action.STOP),
 )
 
-ROWS = state_table.by_cause(TABLE)
+ROWS = state_table.rows_by_event(TABLE)

@@ -18,8 +18,8 @@ from construction_twin.execution.executor import Executor
 from construction_twin.execution.states import ACTIVE, ExecutorState
 from construction_twin.robot.description import ESTIMATES, RobotModel
 
-#: States of the limit in which who should tell it does not.
-_UNHEARD = (LimitState.SILENT, LimitState.MISSING)
+#: States of the limit whose source is silent or was never there.
+_NO_SOURCE = (LimitState.SILENT, LimitState.MISSING)
 
 
 class Permission(pydantic.BaseModel):
@@ -32,8 +32,8 @@ class Permission(pydantic.BaseModel):
 
     @pydantic.field_validator("auto_approve_sources")
     @classmethod
-    def _never_with_a_real_arm(cls, names: tuple[str, ...], given: pydantic.ValidationInfo) -> tuple[str, ...]:
-        if names and given.data.get("arm") == "real":
+    def _never_with_a_real_arm(cls, names: tuple[str, ...], context: pydantic.ValidationInfo) -> tuple[str, ...]:
+        if names and context.data.get("arm") == "real":
             raise ValueError("none with a real arm: the name of a client proves nothing, a person has to approve")
         return names
 
@@ -51,39 +51,44 @@ class Permission(pydantic.BaseModel):
             raise ConfigurationError("estimates", list(robot.estimates), expected)
 
 
-class News:
-    """What is new of an executor, its approvals and its speed limit."""
+class ExecutionNews:
+    """What is new of an executor, its approvals and its speed limit, for its report and its log."""
 
     def __init__(self, executor: Executor, approval: Approval, limit: SpeedLimit):
         self._executor, self._approval, self._limit = executor, approval, limit
-        self._told: tuple = (None,)
+        self._published: tuple = (None,)
         self._limit_state: LimitState | None = None
 
     @property
     def waits(self) -> bool:
         """Whether somebody should look: nothing moves by itself, or no limit comes."""
-        return self._limit.state in _UNHEARD or self._executor.state in (ExecutorState.WAITING, ExecutorState.HELD)
+        return self._limit.state in _NO_SOURCE or self._executor.state in (
+            ExecutorState.WAITING,
+            ExecutorState.HELD,
+        )
 
-    def take(self, moments: Callable[[], tuple[int, str]]) -> tuple[ExecutionReport | None, list[tuple[bool, str]]]:
+    def pop_report(
+        self, moments: Callable[[], tuple[int, str]]
+    ) -> tuple[ExecutionReport | None, list[tuple[bool, str]]]:
         """Return the report, where one is due, and lines for the log, each with whether it is a warning.
 
         `moments` returns ROS time [ns] and the robot's clock. A stop that comes after that is not known to the report.
         """
-        executor, news = self._executor, self._news()
+        executor, key = self._executor, self._report_key()
         lines: list[tuple[bool, str]] = []
         if self._limit.state is not self._limit_state:
             self._limit_state = self._limit.state
-            lines.append((self._limit_state in _UNHEARD, self._limit.reason))
-        if news == self._told:
+            lines.append((self._limit_state in _NO_SOURCE, self._limit.reason))
+        if key == self._published:
             return None, lines
-        if news[0] != self._told[0]:
+        if key[0] != self._published[0]:
             lines.append((False, f"{executor.state.name}: {executor.reason}"))
         report = self._report(*moments())
         # after what may fail: what was not reported is news in the next cycle, too
-        self._told = news
+        self._published = key
         return report, lines
 
-    def _news(self) -> tuple:
+    def _report_key(self) -> tuple:
         """Return what of the report is worth a new one when it changes: first what is worth a line in a log, too."""
         executor, approval, limit = self._executor, self._approval, self._executor.limit
         work, playback, active = executor.segment_run, executor.playback, executor.state in ACTIVE
@@ -123,45 +128,45 @@ class News:
         )
 
 
-class Disk:
-    """What is written beside the cycle. What the disk does not take is said, and tried again.
+class DiskWriter:
+    """Writes beside the cycle; what the disk does not take is logged, and tried again.
 
     Args:
         engagement: File of where the arm is engaged.
         lock: Held around every use of the executor.
-        say: Takes a sentence.
+        log: Logs a sentence.
     """
 
-    def __init__(self, executor: Executor, engagement: Path, lock: AbstractContextManager, say: Callable[[str], None]):
-        self._executor, self._engagement, self._lock, self._say = executor, engagement, lock, say
-        self._problems: dict[str, str] = {}
-        self._told: tuple | None = None
+    def __init__(self, executor: Executor, engagement: Path, lock: AbstractContextManager, log: Callable[[str], None]):
+        self._executor, self._engagement, self._lock, self._log = executor, engagement, lock, log
+        self._faults: dict[str, str] = {}
+        self._published: tuple | None = None
 
     @property
-    def problem(self) -> str:
-        """What was not taken; empty: all was."""
-        return next(iter(self._problems.values()), "")
+    def fault(self) -> str:
+        """What could not be written; empty: all was."""
+        return next(iter(self._faults.values()), "")
 
     def write(self, what: str, write: Callable[[], object]) -> bool:
         """Write something; return whether the disk has taken it."""
         try:
             write()
         except ConstructionTwinError as error:
-            self._problems[what] = str(error)
-            self._say(str(error))
+            self._faults[what] = str(error)
+            self._log(str(error))
             return False
-        self._problems.pop(what, None)
+        self._faults.pop(what, None)
         return True
 
-    def settle(self) -> tuple[Engagement | None, ToolReport] | None:
+    def save_engagement(self) -> tuple[Engagement | None, ToolReport] | None:
         """Write where the arm is about to be, or was left; return that, and the tool, where it is news for the planner."""
-        keeper = self._executor.engagement
-        if not self.write("the engagement", lambda: keeper.settle(self._lock, self._engagement)):
+        store = self._executor.engagement
+        if not self.write("the engagement", lambda: store.save(self._lock, self._engagement)):
             return None
         with self._lock:
-            left, tool = keeper.left, self._executor.tool
+            left, tool = store.left, self._executor.tool
         engagement = left, left.requires(tool) if left is not None else ()
-        if engagement == self._told:
+        if engagement == self._published:
             return None
-        self._told = engagement
+        self._published = engagement
         return left, tool

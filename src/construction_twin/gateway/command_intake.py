@@ -42,7 +42,7 @@ class CommandStream:
         self.last_stamp = 0
         self._sequence = 0
         # bit k: the number k below the newest was taken
-        self._taken = 0
+        self._received = 0
         self._travel_time.restart()
         self._last_q: tuple[float, ...] = ()
         self._begin_block()
@@ -73,15 +73,15 @@ class CommandStream:
             # nor would the count of what was lost mean anything
             raise PayloadError("sequence", f"seq {properties.seq} after {self._sequence}: no stream loses so many")
         if step <= 0:
-            found = "duplicate" if self._taken >> -step & 1 else "reordered"
+            found = "duplicate" if self._received >> -step & 1 else "reordered"
             raise PayloadError(found, f"seq {properties.seq} after {self._sequence}: {found}")
         q = self._codec.decode(payload)
         # a command that is late leaves the reference as it is, so it may be taken before it is judged
-        late = self._travel_time.take(properties.stamp, now) / NANOSECONDS
+        late = self._travel_time.record(properties.stamp, now) / NANOSECONDS
         if late > self._config.max_age:
             raise PayloadError("stale", f"command is {late:.3f} s older than the freshest")
         self._sequence = properties.seq
-        self._taken = 1 if step >= REMEMBERED else (self._taken << step | 1) & _ALL
+        self._received = 1 if step >= REMEMBERED else (self._received << step | 1) & _ALL
         return properties.stamp, q, step - 1
 
     def _arrival_stamp(self, now: int, q: tuple[float, ...]) -> int:
@@ -136,22 +136,22 @@ class CommandIntake:
         self._longest_gap = round(config.silence * NANOSECONDS)
         self._check = MotionCheck(self._limits, config.decimals)
 
-    def start(self, held: tuple[float, ...], stamp: int, q: tuple[float, ...], waited: int, now: int) -> None:
-        """Take the first command of a stream; MotionRefused when it is out of range, or away from the pose `held` (``start``)."""
+    def begin_stream(self, held: tuple[float, ...], stamp: int, q: tuple[float, ...], waited: int, now: int) -> None:
+        """Push the first command of a stream; MotionRefused when it is out of range, or away from the pose `held` (``start``)."""
         self._limits.check_range(q)
         tolerances = self._config.start_tolerances
         off = outside_tolerance(q, held, tolerances)
         if off is not None:
-            raise self._limits.refused("start", off, q[off] - held[off], tolerances[off])
+            raise self._limits.refusal("start", off, q[off] - held[off], tolerances[off])
         self._check.start(stamp, q)
         self._player.learn_from_stall(self.stream.session if self._config.properties else None, now)
         self._push(stamp, q, waited)
 
-    def take(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
-        """Take a command that follows another; MotionRefused (``lead``, or a reason of `MotionCheck`) or StreamBroken."""
+    def on_command(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
+        """Push a command that follows another; MotionRefused (``lead``, or a reason of `MotionCheck`) or StreamBroken."""
         player, playout = self._player, self._player.playout
         # the time since the last telegram is subtracted: playout time advances only with telegrams
-        lead = (playout.lead(stamp) - waited) / NANOSECONDS
+        lead = (playout.lead_time(stamp) - waited) / NANOSECONDS
         if lead > self._config.max_age:
             # a clock that was set, or a sender faster than time: it would be played in slow motion, and never fall silent
             raise MotionRefused("lead", "", lead, self._config.max_age, "s")
@@ -163,9 +163,9 @@ class CommandIntake:
         behind = playout.backlog / NANOSECONDS
         if behind > self._config.speed_limit_backlog:
             event, cause = Event.SPEED_IGNORED, Sentence("speed limit {limit:g} not obeyed", limit=player.fraction)
-            if player.stood:
+            if player.standstills:
                 event = Event.REPLIES_LOST
-                cause = Sentence("{count} standstills, replies did not arrive in time", count=player.stood)
+                cause = Sentence("{count} standstills, replies did not arrive in time", count=player.standstills)
             most = self._config.speed_limit_backlog
             why = Sentence(
                 "arm {behind:.3f} s behind its stream, allowed {most:g} s: {cause}",

@@ -105,7 +105,9 @@ def _address(text: str, option: str) -> tuple[str, int]:
     return host, int(port)
 
 
-def _ends(arguments: argparse.Namespace, config: GatewayConfig) -> tuple[Broker, Topics, tuple[str, int], str | None]:
+def _endpoints(
+    arguments: argparse.Namespace, config: GatewayConfig
+) -> tuple[Broker, Topics, tuple[str, int], str | None]:
     """Return broker and topics, the address for the controller, and the controller's own."""
     account = load_account(arguments.account) if arguments.account else None
     broker = Broker(*_address(arguments.broker, "--broker"), account=account)
@@ -119,7 +121,7 @@ def _ends(arguments: argparse.Namespace, config: GatewayConfig) -> tuple[Broker,
 
 def check(arguments: argparse.Namespace, config: GatewayConfig) -> None:
     """Raise the ConstructionTwinError that a gateway with these options would not start with; leave nothing behind."""
-    bind(*_ends(arguments, config)[2]).close()
+    bind(*_endpoints(arguments, config)[2]).close()
     if arguments.trace:
         check_trace(arguments.trace, len(config.axes))
 
@@ -128,9 +130,9 @@ def _run(argv: list[str]) -> int:
     try:
         arguments = read_arguments(argv)
         config = load_config(arguments.config)
-        broker, topics, address, controller = _ends(arguments, config)
+        broker, topics, address, controller = _endpoints(arguments, config)
         file = arguments.ethernet_xml
-        told = config.make.form_of(file).sends_to(file, config.layout) if file else address[0]
+        destination = config.make.form_of(file).sends_to(file, config.layout) if file else address[0]
         run, commissioning = secrets.token_hex(8), arguments.commissioning == "true"
         sock = bind(*address)
         # behind the address, which no second gateway gets
@@ -156,12 +158,12 @@ def _run(argv: list[str]) -> int:
         log.warning(
             "%s tells the controller to send to port %d, not %d", words.description, config.layout.port, address[1]
         )
-    if told != address[0] and address[0] != "0.0.0.0":
-        log.warning("%s tells the controller to send to address %s, not %s", words.description, told, address[0])
-    if config.layout.not_filled:
-        log.info("channels that no reply fills, so they stay as they are: %s", ", ".join(config.layout.not_filled))
+    if destination != address[0] and address[0] != "0.0.0.0":
+        log.warning("%s tells the controller to send to address %s, not %s", words.description, destination, address[0])
+    if config.layout.unfilled:
+        log.info("channels that no reply fills, so they stay as they are: %s", ", ".join(config.layout.unfilled))
     if service.gateway.mode is not Mode.NORMAL:
-        log.warning("%s", service.gateway.noted(f"mode {service.gateway.mode.value}"))
+        log.warning("%s", service.gateway.with_mode(f"mode {service.gateway.mode.value}"))
     if stops.found:
         log.warning("stopped before, and not reset (%s)", stops.found)
     log.info("%s; %s", request_realtime(arguments.realtime), lock_memory())

@@ -12,7 +12,7 @@ from construction_twin.core import speed_limit
 from construction_twin.core.errors import MotionRefused, PayloadError
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.gateway.arm_side import ArmSide
+from construction_twin.gateway.arm_control import ArmControl
 from construction_twin.gateway.command_intake import StreamBroken
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.states import Event, Mode, Occasion, Row, State
@@ -53,22 +53,22 @@ class Ownership:
     """One session commands at a time, never one that has ended, and no control message acts twice."""
 
     def __init__(self) -> None:
-        self._had_their_turn: dict[object, None] = {}
+        self._past_sessions: dict[object, None] = {}
         self._answered: dict[object, None] = {}
         #: The last session that was refused because another owns the arm, "" for none, and how often that happened.
         self.intruder = ""
         self.intrusions = 0
 
     def begin(self, session: str) -> None:
-        """Give a session its turn."""
-        _remember(self._had_their_turn, session)
+        """Record that a session has its turn."""
+        _remember(self._past_sessions, session)
 
-    def knows(self, session: str) -> bool:
+    def has_had_turn(self, session: str) -> bool:
         """Return whether a session has had its turn; what still comes from it was sent before its end."""
-        return session in self._had_their_turn
+        return session in self._past_sessions
 
-    def refuse(self, session: str) -> None:
-        """Note a session that wanted what another has."""
+    def record_intruder(self, session: str) -> None:
+        """Count a session that wanted what another has."""
         self.intruder = session
         self.intrusions += 1
 
@@ -97,8 +97,8 @@ class EnforcedSpeedLimit:
     def __init__(self, config: GatewayConfig):
         self._source = speed_limit.SpeedLimit(config.speed_limit_deadline, config.speed_limit_silent)
         self._grace = round(config.speed_limit_grace * NANOSECONDS)
-        #: The fraction given last, that for silence included; 1 before the first one.
-        self.given = 1.0
+        #: The fraction requested last, that for silence included; 1 before the first one.
+        self.requested = 1.0
         #: Who gave it: "none", a session id, or "silence".
         self.source = "none"
         #: The fraction in force.
@@ -132,13 +132,13 @@ class EnforcedSpeedLimit:
         self._numbered = control.session, number
         return False
 
-    def give(self, fraction: float, session: str, now: int) -> bool:
-        """Take a limit, 0 to 1, from a session; return whether it, or who gave it, is another than before."""
-        self._source.hear(fraction, session, now)
-        news = (fraction, session) != (self.given, self.source)
+    def on_limit(self, fraction: float, session: str, now: int) -> bool:
+        """Store a limit, 0 to 1, of a session; return whether limit or session changed."""
+        self._source.record(fraction, session, now)
+        changed = (fraction, session) != (self.requested, self.source)
         self.source = session
-        self._take(fraction, now)
-        return news
+        self._store(fraction, now)
+        return changed
 
     def poll(self, now: int) -> bool:
         """Notice silence, and what has come into force; return whether the source has just fallen silent."""
@@ -148,14 +148,14 @@ class EnforcedSpeedLimit:
         silent = self.source != "silence" and self._source.is_silent(now)
         if silent:
             self.source = "silence"
-            self._take(self._source.fraction_when_silent, now)
+            self._store(self._source.fraction_when_silent, now)
         while len(recent) > 1 and now - recent[1][0] >= self._grace:
             recent.popleft()
         self.fraction = recent[0][1]
         return silent
 
-    def _take(self, fraction: float, now: int) -> None:
-        self.given = fraction
+    def _store(self, fraction: float, now: int) -> None:
+        self.requested = fraction
         recent = self._recent
         if not recent:
             # before the first one there was none
@@ -168,15 +168,15 @@ class EnforcedSpeedLimit:
             since, _ = recent.pop()
         recent.append((since, fraction))
 
-    def report(self) -> dict:
+    def status_fields(self) -> dict:
         """Return what the status says: the fraction in force, the one given last, and by whom."""
-        return {"share": self.fraction, "given": self.given, "source": self.source}
+        return {"share": self.fraction, "given": self.requested, "source": self.source}
 
 
-class CommandSide:
+class CommandHandler:
     """Takes commands, control messages and people's stops for one `Gateway`."""
 
-    def __init__(self, gateway: ArmSide):
+    def __init__(self, gateway: ArmControl):
         self._gateway = gateway
         self.owners = Ownership()
         #: How fast the arm may move, as the source of `speed_limit` asks.
@@ -195,7 +195,7 @@ class CommandSide:
     # -- commands
 
     def on_command(self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int) -> None:
-        """Take a joint string of the `command` topic; `properties` are None without any, the error when they cannot be read."""
+        """Read and play a joint string of `command`; `properties` are None without any, the error when they cannot be read."""
         gateway, machine = self._gateway, self._gateway.machine
         state = machine.state
         try:
@@ -203,31 +203,31 @@ class CommandSide:
                 raise PayloadError("not_armed", f"gateway is {state.value}")
             stamp, q, lost = self._gateway.intake.stream.read(payload, properties, now)
         except PayloadError as error:
-            gateway.refusals.message(error.reason, error, follows=error.reason == "not_armed")
+            gateway.refusals.count_message(error.reason, error, follows=error.reason == "not_armed")
             if error.reason in ("session", "not_armed"):
-                self._note_stranger(properties.session if isinstance(properties, CommandProperties) else None, now)
+                self._on_other_session(properties.session if isinstance(properties, CommandProperties) else None, now)
             return
         try:
             if state is State.ARMED:
-                why = Sentence("stream of session {session} began", session=gateway.session)
+                why = Sentence("stream of session {session} began", session=gateway.command_session)
                 machine.on(Event.STREAM_BEGAN, Occasion(why, now, stamp=stamp, q=q))
             else:
                 if lost:
                     gateway.counters["commands_lost"] += lost
-                self._gateway.intake.take(stamp, q, now - gateway.controller.heard_at)
+                self._gateway.intake.on_command(stamp, q, now - gateway.controller.received_at)
             gateway.counters["commands_received"] += 1
         except MotionRefused as refusal:
-            gateway.refusals.message(refusal.reason, refusal)
+            gateway.refusals.count_message(refusal.reason, refusal)
             if machine.state is State.FOLLOWING:
-                gateway.refusals.stopped()
+                gateway.refusals.on_stop()
             gateway.brake(Event.COMMAND_REFUSED, str(refusal))
         except StreamBroken as broken:
             gateway.brake(broken.event, broken.args[0])
 
-    def _note_stranger(self, session: str | None, now: int) -> None:
+    def _on_other_session(self, session: str | None, now: int) -> None:
         gateway = self._gateway
-        if session is not None and gateway.session and not self.owners.knows(session):
-            self.owners.refuse(session)
+        if session is not None and gateway.command_session and not self.owners.has_had_turn(session):
+            self.owners.record_intruder(session)
         else:
             gateway.player.learn_from_stall(session, now)
 
@@ -236,7 +236,7 @@ class CommandSide:
         gateway, now = self._gateway, occasion.now
         assert gateway.player.follower is not None  # an armed gateway has one
         held = gateway.player.follower.position
-        self._gateway.intake.start(held, occasion.stamp, occasion.q, now - gateway.controller.heard_at, now)
+        self._gateway.intake.begin_stream(held, occasion.stamp, occasion.q, now - gateway.controller.received_at, now)
 
     # -- control
 
@@ -252,7 +252,7 @@ class CommandSide:
         return carry_out(control, now)
 
     def _refuse(self, reason: str, why: str) -> Answer:
-        self._gateway.refusals.message(reason, why)
+        self._gateway.refusals.count_message(reason, why)
         return Answer(False, why)
 
     def _answer(self, control: Control, refusal: str, done: str) -> Answer:
@@ -260,18 +260,18 @@ class CommandSide:
 
     def _limit_speed(self, control: Control, now: int) -> Answer:
         gateway, speed = self._gateway, self.speed
-        if refusal := speed.refusal(control, gateway.session):
+        if refusal := speed.refusal(control, gateway.command_session):
             # one that only lacks an armed session may have been under way when a stop came
-            follows = not gateway.session and not speed.refusal(control, control.session)
-            gateway.refusals.message("speed_limit", refusal, follows)
+            follows = not gateway.command_session and not speed.refusal(control, control.session)
+            gateway.refusals.count_message("speed_limit", refusal, follows)
             return Answer(False, refusal)
         fraction = float(control.value)  # type: ignore[arg-type]  # `refusal` has found a number
         # a lower limit counts even with an old number: its source may count anew, and a recording of it can only slow the arm
-        if speed.is_repeated(control) and fraction >= speed.given:
+        if speed.is_repeated(control) and fraction >= speed.requested:
             what = f"speed limit {control.id} of session {control.session!r}"
             self._refuse("repeated", f"{what}, or a later one, came before")
             return Answer(False, "")
-        if speed.give(fraction, control.session, now):
+        if speed.on_limit(fraction, control.session, now):
             gateway.machine.changed = True
         self.poll(now)
         return Answer(True, Sentence("speed at most {fraction:g} of the limits", fraction=fraction))
@@ -284,7 +284,7 @@ class CommandSide:
             gateway.machine.changed = True
         if speed.fraction != gateway.player.fraction:
             gateway.player.limit(speed.fraction)
-        if gateway.tool is not None and not speed.given:
+        if gateway.tool is not None and not speed.requested:
             # at once: the grace is for motion that has begun
             gateway.tool.void(_SPEED_0)
 
@@ -294,12 +294,12 @@ class CommandSide:
         if gateway.state in (State.ARMED, State.FOLLOWING) and not refusal:
             refusal = gateway.machine.on(Event.ARM, Occasion(session=session))
             if refusal:
-                self.owners.refuse(session)
+                self.owners.record_intruder(session)
             return self._answer(control, refusal, Sentence("already armed for this session"))
-        why = gateway.noted(Sentence("armed for session {session}", session=session))
+        why = gateway.with_mode(Sentence("armed for session {session}", session=session))
         refusal = refusal or self._refusal_of_session(session)
         refusal = refusal or gateway.machine.on(Event.ARM, Occasion(why, session=session))
-        return self._answer(control, refusal, gateway.noted(Sentence("armed")))
+        return self._answer(control, refusal, gateway.with_mode(Sentence("armed")))
 
     def _refusal_of_session(self, session: str) -> str:
         if not is_session(session):
@@ -324,13 +324,13 @@ class CommandSide:
                 "{distance} off the held pose: the arm was moved, or still moves; reset, or start the controller's program again",
                 distance=distance,
             )
-        if self.owners.knows(occasion.session):
+        if self.owners.has_had_turn(occasion.session):
             return Sentence("session {session} has had its turn; begin another", session=occasion.session)
         return ""
 
     def refusal_of_second_session(self, occasion: Occasion) -> str:
         """Return that another session is armed; "" where it is this one."""
-        session = self._gateway.session
+        session = self._gateway.command_session
         refusal = Sentence("armed for session {session}; stop and reset first", session=session)
         return "" if occasion.session == session else refusal
 
@@ -338,14 +338,14 @@ class CommandSide:
         """Let a session command."""
         self.owners.begin(occasion.session)
         self._gateway.intake.stream.begin(occasion.session)
-        self._gateway.refusals.forgive()
+        self._gateway.refusals.clear_cause()
 
     def _switch(self, control: Control, now: int) -> Answer:
         gateway = self._gateway
         if gateway.tool is None:
             return self._refuse(control.verb, Sentence("tool: the configuration has none: no switch is possible"))
-        stamp, waited = stamp_of(control.value), now - gateway.controller.heard_at
-        lead = None if stamp is None else (gateway.player.playout.lead(stamp) - waited) / NANOSECONDS
+        stamp, waited = stamp_of(control.value), now - gateway.controller.received_at
+        lead = None if stamp is None else (gateway.player.playout.lead_time(stamp) - waited) / NANOSECONDS
         refusal = gateway.tool.arm(control.value, lead, self._obstacle_of_switch(control.session))
         return self._answer(control, refusal, Sentence("armed"))
 
@@ -354,11 +354,11 @@ class CommandSide:
         gateway = self._gateway
         if gateway.state is not State.FOLLOWING:
             return Sentence("no stream is followed, {present}", present=gateway.sentence)
-        if session != gateway.session:
-            return f"session {session} does not command, session {gateway.session} does"
+        if session != gateway.command_session:
+            return f"session {session} does not command, session {gateway.command_session} does"
         if gateway.mode is Mode.COMMISSIONING:
             return Sentence("commissioning mode: nothing is switched, as nothing moves")
-        return "" if self.speed.given else _SPEED_0
+        return "" if self.speed.requested else _SPEED_0
 
     def _void(self, control: Control, now: int) -> Answer:
         tool = self._gateway.tool
@@ -376,7 +376,7 @@ class CommandSide:
 
     def _reset(self, control: Control, now: int) -> Answer:
         gateway, done = self._gateway, Sentence("reset")
-        occasion = Occasion(gateway.noted(done), session=control.session, value=control.value)
+        occasion = Occasion(gateway.with_mode(done), session=control.session, value=control.value)
         return self._answer(control, gateway.machine.on(Event.RESET, occasion), done)
 
     def refusal_of_reset(self, occasion: Occasion) -> str:
@@ -402,7 +402,7 @@ class CommandSide:
 
     def refusal_of_owner_reset(self, occasion: Occasion) -> str:
         """Return what speaks against a reset while a session commands: it must be that one's."""
-        session = self._gateway.session
+        session = self._gateway.command_session
         if occasion.session != session:
             # also the owner's own next session asks too early sometimes: no intruder yet
             return Sentence("session {session} commands; stop it, or wait until its stream has ended", session=session)
@@ -421,7 +421,7 @@ class CommandSide:
         """
         gateway = self._gateway
         # what cannot tell how often an account was answered must not refuse its stop
-        answered = gateway.side_effects.run("the pace of answers", self._stop_pace.take, stop.account, now)
+        answered = gateway.side_effects.run("the pace of answers", self._stop_pace.admit, stop.account, now)
         if answered is False and gateway.stopped:
             gateway.counters["stops_repeated"] += 1
             # it changes nothing now, and yet a reset that is under way does not know of it
@@ -432,8 +432,8 @@ class CommandSide:
 
     def refuse_stop(self, account: str, error: PayloadError, now: int) -> Answer:
         """Count a message on `stop/<account>` that is no stop; the answer has no reason where none is due."""
-        self._gateway.refusals.message(error.reason, error)
-        return Answer(False, str(error) if self._stop_pace.take(account, now) else "")
+        self._gateway.refusals.count_message(error.reason, error)
+        return Answer(False, str(error) if self._stop_pace.admit(account, now) else "")
 
 
 def _asked(control: Control) -> Sentence:

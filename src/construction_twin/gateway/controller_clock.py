@@ -65,8 +65,8 @@ class ControllerClock:
         # what was judged last, without figures that waver
         self._judged = ""
 
-    def note(self, stamp: int, arrived: int) -> None:
-        """Take a telegram by its stamp [ms] and arrival on any clock that runs in real time [ns], also one that is not answered."""
+    def on_telegram(self, stamp: int, arrived: int) -> None:
+        """Store stamp [ms] and arrival of a telegram, on any clock in real time [ns], also of one that is not answered."""
         arrivals = self._arrivals
         if not self.measures:
             return
@@ -81,14 +81,14 @@ class ControllerClock:
             else:
                 self._stamp, stamp = stamp, arrivals[-1][0] + step
                 if step != self._cycle and step in self._others:
-                    self._note_other(stamp, step)
+                    self._on_other_step(stamp, step)
         else:
             self._stamp = stamp
         arrivals.append((stamp, arrived))
         self._to_judge -= 1
 
-    def _note_other(self, stamp: int, step: int) -> None:
-        """Take a step of the other cycle; the session is measured anew from where the first row of them began."""
+    def _on_other_step(self, stamp: int, step: int) -> None:
+        """Count a step of the other cycle; the session is measured anew from where the first row of them began."""
         follows = step == self._other and stamp - step == self._other_stamp
         self._in_a_row = self._in_a_row + 1 if follows else 1
         self._other, self._other_stamp = step, stamp
@@ -119,7 +119,7 @@ class ControllerClock:
             return None
         return self._sentence(step, rate)
 
-    def news(self, rates: bool = True) -> str | None:
+    def pop_finding(self, rates: bool = True) -> str | None:
         """Return what `judge` does, without `rates` also what `changed` says; None for what was said last, but for figures."""
         wrong = self.judge(rates)
         if wrong is None and not rates:
@@ -130,7 +130,7 @@ class ControllerClock:
         before, self._judged = self._judged, _MEASURED.sub("", wrong)
         return wrong if self._judged != before else None
 
-    def report(self) -> dict:
+    def status_fields(self) -> dict:
         """Return what the status says: ms, and the controller's time per real time; None where it is not known yet."""
         step = rate = None
         if len(self._arrivals) > self._base:

@@ -58,7 +58,7 @@ class Replies:
         self.lost_for = 0
 
     def record_loss(self, lost: bool, elapsed: int) -> None:
-        """Take note of whether the last answer was lost, `elapsed` [ns] of the controller's time ago."""
+        """Record whether the last answer was lost, `elapsed` [ns] of the controller's time ago."""
         if lost:
             self.lost_for += elapsed
         else:
@@ -76,11 +76,11 @@ class Replies:
         """Return what an answer carries for a correction [rad]."""
         if self._zero:
             correction = (0.0,) * len(correction)
-        return moved(origin, correction) if self._absolute else correction
+        return corrected(origin, correction) if self._absolute else correction
 
 
-def moved(origin: tuple[float, ...], correction: tuple[float, ...]) -> tuple[float, ...]:
-    """Return where a correction to an origin is [rad]."""
+def corrected(origin: tuple[float, ...], correction: tuple[float, ...]) -> tuple[float, ...]:
+    """Return the position of a correction to an origin [rad]."""
     return tuple([start + value for start, value in zip(origin, correction)])
 
 
@@ -107,10 +107,10 @@ class ControllerSession:
         #: Measured pose of the last telegram that had one [rad]; () when there is none.
         self.measured: tuple[float, ...] = ()
         #: When the last telegram came [ns].
-        self.heard_at = 0
+        self.received_at = 0
         self.stamp = 0
         #: Why the present session began.
-        self.began = ""
+        self.begin_reason = ""
         #: The last step of the clock that was not a cycle [ms].
         self.jump_ms = 0
         self._source: object = None
@@ -122,14 +122,14 @@ class ControllerSession:
 
     def accepts(self, source: object, now: int) -> bool:
         """Return whether a datagram from `source` may be read: while a controller is alive, only its own are."""
-        return source == self._source or not (self.alive and now - self.heard_at <= ALIVE)
+        return source == self._source or not (self.alive and now - self.received_at <= ALIVE)
 
     def is_silent(self, now: int) -> bool:
         """Return whether the controller has been silent for its timeout."""
-        return self.alive and now - self.heard_at > self._timeout
+        return self.alive and now - self.received_at > self._timeout
 
     def on_telegram(self, telegram: Telegram, source: object, now: int, moving: bool = False) -> TelegramOutcome | None:
-        """Take a telegram; None when it came twice or behind a newer one. `moving`: whether the correction is being changed."""
+        """Judge a telegram; None when it came twice or behind a newer one. `moving`: whether the correction is being changed."""
         step = stamp_step(self.stamp, telegram.controller_ms, self._timeout_ms)
         goes_on = self.alive and source == self._source
         if goes_on and -self._timeout_ms <= step <= 0:
@@ -137,16 +137,16 @@ class ControllerSession:
         elapsed = step * STAMP_NS
         begins = False
         if not goes_on or elapsed != self._cycle:
-            begins = self._is_another(goes_on, step) or self._is_restarted(telegram, moving)
+            begins = self._is_new_session(goes_on, step) or self._is_restarted(telegram, moving)
         if begins:
             self._begin(telegram)
             elapsed = self._cycle
-        self.stamp, self._source, self.heard_at = telegram.controller_ms, source, now
+        self.stamp, self._source, self.received_at = telegram.controller_ms, source, now
         missed = elapsed > self._cycle or (telegram.missed is not None and telegram.missed > self._last_missed)
         refusal, lost = "", False
         drifted_to: tuple[float, ...] = ()
         if not self._answered:
-            self.take_measured(telegram)
+            self.store_measured(telegram)
         elif not self._refused:
             if not self.origin:
                 self.origin, refusal = self._rules.origin(telegram)
@@ -154,7 +154,7 @@ class ControllerSession:
             # before the count of missed replies is taken over
             if telegram.missed != self._last_missed or elapsed != self._cycle:
                 lost = self._is_reply_lost(telegram.missed, elapsed)
-            drifted_to = self._take_poses(telegram)
+            drifted_to = self._store_poses(telegram)
         if elapsed == self._cycle and not (begins or missed or refusal or lost or drifted_to):
             return self._regular
         return TelegramOutcome(elapsed, begins, refusal, missed, lost, drifted_to)
@@ -179,14 +179,14 @@ class ControllerSession:
         """The target that the controller has until the last answer arrives, as it was sent [rad], [m]; () before the first."""
         return self.replies.to_target(self.replies.last_acknowledged, self.origin)
 
-    def note_status(self, status: ControllerStatus, unreadable: int) -> None:
-        """Take what a telegram says on its optional channels, and how many of these cannot be read; it changes no answer."""
+    def on_status(self, status: ControllerStatus, unreadable: int) -> None:
+        """Store what a telegram says on its optional channels, and count those that cannot be read; no answer changes."""
         self.status = status
         if unreadable:
             self._counters["status_channels_unreadable"] += unreadable
 
-    def take_measured(self, telegram: Telegram) -> None:
-        """Take the measured pose of a telegram, where it has one."""
+    def store_measured(self, telegram: Telegram) -> None:
+        """Store the measured pose of a telegram, where it has one."""
         self.measured = telegram.measured or self.measured
 
     def _is_reply_lost(self, count: int | None, elapsed: int) -> bool:
@@ -203,8 +203,8 @@ class ControllerSession:
             self._counters["delay_irregular"] += 1
         return missed >= cycles
 
-    def _take_poses(self, telegram: Telegram) -> tuple[float, ...]:
-        """Take a telegram's poses and its count of late replies; return where it is programmed off the origin."""
+    def _store_poses(self, telegram: Telegram) -> tuple[float, ...]:
+        """Store a telegram's poses and its count of late replies; return where it is programmed off the origin."""
         missed = telegram.missed
         if missed is not None and missed != self._last_missed:
             self._counters["late_replies"] += max(0, missed - self._last_missed)
@@ -222,7 +222,7 @@ class ControllerSession:
     def drift(self, setpoint: tuple[float, ...]) -> str:
         """Return in one sentence how far a programmed position [rad] is off the origin; "" within the start tolerance."""
         distance = self.distance_off(setpoint, self.origin)
-        return distance and self._rules.drifted(distance)
+        return distance and self._rules.drift_sentence(distance)
 
     def distance_off(self, q: tuple[float, ...], reference: tuple[float, ...], tolerances: float = 1.0) -> str:
         """Return how far the first axis is off that is further than so many start tolerances, for people; "" when none is."""
@@ -239,28 +239,28 @@ class ControllerSession:
         self.origin = setpoint
         return tuple([start + value for start, value in zip(setpoint, correction)])
 
-    def _is_another(self, goes_on: bool, step: int) -> bool:
+    def _is_new_session(self, goes_on: bool, step: int) -> bool:
         """Return whether a telegram so many ms on begins another session, by what every make has."""
         if not self.alive:
-            self.began = Sentence("the first telegram after silence")
+            self.begin_reason = Sentence("the first telegram after silence")
         elif not goes_on:
-            self.began = Sentence("telegrams come from another source")
+            self.begin_reason = Sentence("telegrams come from another source")
             self._counters["sessions_by_source"] += 1
         else:
             self.jump_ms = step
             if 0 < step * STAMP_NS <= self._timeout:
                 return False
-            self.began = Sentence("{stamp} jumped by {jump} ms", stamp=self._words.stamp, jump=step)
+            self.begin_reason = Sentence("{stamp} jumped by {jump} ms", stamp=self._words.stamp, jump=step)
             self._counters["sessions_by_ipoc_jump"] += 1
         self._rules.begin()
         return True
 
     def _is_restarted(self, telegram: Telegram, moving: bool) -> bool:
         """Return whether the make's own signs show that a session was ended and begun anew while cycles are missing."""
-        sign = self._rules.restarted(telegram, self.origin, self.replies.sent, moving)
+        sign = self._rules.restart_sign(telegram, self.origin, self.replies.sent, moving)
         if sign:
             jump, protocol = self.jump_ms, self._words.protocol
-            self.began = Sentence(
+            self.begin_reason = Sentence(
                 "{sign}, {jump} ms on: {protocol} was switched on anew", sign=sign, jump=jump, protocol=protocol
             )
         self._counters["sessions_by_restart" if sign else "ipoc_steps_irregular"] += 1

@@ -64,9 +64,9 @@ class TelegramInbox:
             telegram = self._read(data, source, now)
             if telegram is None:
                 continue
-            self._gateway.clock.note(telegram.controller_ms, arrived)
+            self._gateway.clock.on_telegram(telegram.controller_ms, arrived)
             if self._status is not None:
-                self._gateway.controller.note_status(*self._status(data))
+                self._gateway.controller.on_status(*self._status(data))
             if newest is not None:
                 behind = stamp_step(telegram.controller_ms, newest.telegram.controller_ms, self._timeout_ms)
                 if source == newest.source and 0 <= behind <= self._timeout_ms:
@@ -75,23 +75,23 @@ class TelegramInbox:
                 counters["telegrams_skipped"] += 1
             newest = Arrival(telegram, source, arrived)
             if self._tool is not None and self._gateway.tool is not None:
-                self._gateway.tool.note(self._tool(data))
+                self._gateway.tool.on_reading(self._tool(data))
         return newest
 
     def _read(self, data: bytes, source: tuple, now: int) -> Telegram | None:
         refusals = self._gateway.refusals
         if self._controller is not None and source[0] != self._controller:
             why = f"datagrams from {source[0]} are not read, because --controller is {self._controller}"
-            refusals.telegram("address", why)
+            refusals.count_telegram("address", why)
             return None
         if not self._gateway.controller.accepts(source, now):
             why = f"a datagram from {source[0]}:{source[1]} while another sender's session is alive"
-            refusals.telegram("source", why)
+            refusals.count_telegram("source", why)
             return None
         try:
             telegram = self.parse(data)
         except TelegramError as error:
-            refusals.telegram(error.reason, error)
+            refusals.count_telegram(error.reason, error)
             return None
         refusals.unread = 0
         return telegram
@@ -128,10 +128,10 @@ class ControllerSocket:
         gateway, telegram, source = self._gateway, newest.telegram, newest.source
         carried = gateway.on_telegram(telegram, source, now)
         if carried is not None and self.encoder is not None:
-            stop = True if gateway.ends else None
+            stop = True if gateway.ends_program else None
             switched = self._switched(self.encoder) if gateway.tool is not None else ()
             self._send(self.encoder.encode(carried, telegram.controller_ms, stop, switched), source)
-            self.last_resort.sent(
+            self.last_resort.on_reply_sent(
                 telegram.controller_ms, source, carried, gateway.controller.acknowledged_target, telegram.missed
             )
             self.reply_time.add((time.time_ns() - newest.arrived) / 1e3)
@@ -145,8 +145,8 @@ class ControllerSocket:
         if holding is not self._held_channels:
             self._held_channels = holding
             ending = encoder.template(True, tool.channels(ending=True))
-            self.last_resort.hold(encoder.template(None, holding), ending)
-        return tool.channels(ending=True) if self._gateway.ends else holding
+            self.last_resort.set_templates(encoder.template(None, holding), ending)
+        return tool.channels(ending=True) if self._gateway.ends_program else holding
 
     def _send(self, reply: bytes, source: tuple) -> None:
         try:
@@ -154,7 +154,7 @@ class ControllerSocket:
         except OSError as error:
             self._gateway.counters[f"udp_send_{error.errno}"] += 1
 
-    def rescue(self) -> bool:
+    def answer_as_last_resort(self) -> bool:
         """Answer the controller as the last resort; return whether there is a pose to report."""
         resort = self.last_resort
         newest, waiting = None, self._datagram
@@ -173,9 +173,9 @@ class ControllerSocket:
         if newest is None:
             return False
         stamp, data, source = newest
-        lost = resort.note_missed(stamp, data)
+        lost = resort.rewind_if_lost(stamp, data)
         reply = resort.answer(stamp)
         if reply is not None:
             self._send(reply, source)
-        self._gateway.observe(self._parse(data), resort.target, lost)
+        self._gateway.on_last_resort(self._parse(data), resort.target, lost)
         return True

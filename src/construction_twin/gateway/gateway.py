@@ -11,13 +11,13 @@ from functools import partial
 from construction_twin.controller.telegram import Telegram
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.follower import Follower
-from construction_twin.core.records import document
-from construction_twin.core.sentences import Sentence, both
+from construction_twin.core.records import json_value
+from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.gateway.arm_side import ArmSide
+from construction_twin.gateway.arm_control import ArmControl
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.gateway.control import CommandSide
-from construction_twin.gateway.controller_session import moved
+from construction_twin.gateway.control import CommandHandler
+from construction_twin.gateway.controller_session import corrected
 from construction_twin.gateway.machine import Machine
 from construction_twin.gateway.states import Action, Event, Guard, Mode, Occasion, Row, State
 from construction_twin.mqtt.messages import PROTOCOL, StateProperties
@@ -30,8 +30,8 @@ def _not_reset(reason: str) -> str:
     return Sentence("stopped before, and not reset ({reason})", reason=reason) if reason else ""
 
 
-class Gateway(ArmSide):
-    """One robot's gateway between the command stream and the controller session; see `ArmSide` for its arguments."""
+class Gateway(ArmControl):
+    """One robot's gateway between the command stream and the controller session; see `ArmControl` for its arguments."""
 
     def __init__(
         self,
@@ -42,7 +42,7 @@ class Gateway(ArmSide):
         stopped: str = "",
     ):
         super().__init__(config, run, commissioning, measures, stopped)
-        self.commands = commands = CommandSide(self)
+        self.commands = commands = CommandHandler(self)
         self.on_command, self.on_control = commands.on_command, commands.on_control
         self.on_stop, self.refuse_stop = commands.on_stop, commands.refuse_stop
         self._cycle = config.cycle_ns
@@ -81,7 +81,7 @@ class Gateway(ArmSide):
     # -- a telegram
 
     def on_telegram(self, telegram: Telegram, source: object, now: int) -> tuple[float, ...] | None:
-        """Take a telegram through every step to its answer: position, or position minus origin [rad]; None: no answer."""
+        """Carry a telegram through every step to its answer: position, or position minus origin [rad]; None: no answer."""
         machine, controller, player, counters = self.machine, self.controller, self.player, self.counters
         # session: what does the telegram mean, does another session begin, may it be answered?
         state = machine.state
@@ -90,14 +90,14 @@ class Gateway(ArmSide):
             counters["telegrams_repeated"] += 1
             return None
         if outcome.begins:
-            self._begin_session(telegram)
+            self._begin_controller_session(telegram)
         if outcome.refusal:
             machine.on(Event.ORIGIN_REFUSED, Occasion(outcome.refusal))
         state = machine.state
         if self.tool is not None:
             joined = state is State.JOINED
             why = Sentence("this session is not answered: {reason}", reason=machine.reason) if joined else ""
-            self.tool.hear(why, outcome.missed)
+            self.tool.on_telegram(why, outcome.missed)
         if state is State.JOINED or state is State.READ_ONLY or state is State.FAILED:
             counters["telegrams_unanswered"] += 1
             return None
@@ -115,58 +115,58 @@ class Gateway(ArmSide):
         controller.replies.record_loss(outcome.lost, outcome.elapsed)
         elapsed = outcome.elapsed
         if outcome.lost or elapsed > self._cycle:
-            follower, elapsed = self._stand(follower, elapsed, outcome.lost)
+            follower, elapsed = self._restart_from_rest(follower, elapsed, outcome.lost)
         # where nothing has arrived for so long, nothing is played: the gate is to compare with the present
         self.command_stamp = player.stamp if controller.replies.lost_for <= self._silence else 0
         # playout with its one rate, or braking, and the limits of every joint
-        if elapsed == self._cycle and not player.parts.interpolated:
+        if elapsed == self._cycle and not player.interpolator.interpolated:
             position = self._move(follower, elapsed)
         elif machine.state is State.FOLLOWING or machine.state is State.BRAKING:
             # until the change of the cycle is noticed, and while it brakes
             step = partial(self._move, follower, self._cycle)
-            position = player.parts.position(elapsed, follower.position, step)
+            position = player.interpolator.position(elapsed, follower.position, step)
         else:
-            player.parts.restart()
+            player.interpolator.restart()
             position = follower.position
         # what goes with this target
         if self.tool is not None and machine.state is State.FOLLOWING and player.braking is None:
-            self.tool.play(player.stamp)
+            self.tool.fire_due(player.stamp)
         if self.trace is not None:
             session = counters["rsi_sessions"]
             self.trace(telegram.controller_ms, session, machine.state, player.stamp, position, outcome.lost)
         # encode: a correction to the origin, or a position; the service writes the make's bytes
         return controller.replies.answer(position, controller.origin)
 
-    def _begin_session(self, telegram: Telegram) -> None:
+    def _begin_controller_session(self, telegram: Telegram) -> None:
         words = self.config.make.words
         began = Sentence(
             "{protocol} session began at {stamp} {value}: {why}",
             protocol=words.protocol,
             stamp=words.stamp,
             value=telegram.controller_ms,
-            why=self.controller.began,
+            why=self.controller.begin_reason,
         )
         # what stands against arming is said, too: the states of a new session do not tell
-        self._began = both(self.noted(began), _not_reset(self.stopped))
+        self._began = join_sentences(self.with_mode(began), _not_reset(self.stopped))
         self.machine.on(Event.SESSION_BEGAN, Occasion(self._began))
         if self.machine.state is State.MEASURING:
             if self.clock.measures:
-                self.machine.add(Sentence("measuring the controller's cycle"))
+                self.machine.append_to_reason(Sentence("measuring the controller's cycle"))
             else:
                 self.machine.on(Event.CYCLE_FITS, Occasion(self._began))
 
-    def _stand(self, follower: Follower, elapsed: int, lost: bool) -> tuple[Follower, int]:
+    def _restart_from_rest(self, follower: Follower, elapsed: int, lost: bool) -> tuple[Follower, int]:
         """Stand at the last correction that arrived; return the follower there, and what of `elapsed` [ns] is left to move in.
 
         HOLDON kept the arm there: going on at the speed of before would be a step from standstill.
         """
         player = self.player
-        if player.parts.interpolated:
+        if player.interpolator.interpolated:
             # it stands within a step, not at its end
-            player.parts.restart()
-            follower = player.place(moved(self.controller.origin, self.controller.replies.last_acknowledged))
+            player.interpolator.restart()
+            follower = player.place(corrected(self.controller.origin, self.controller.replies.last_acknowledged))
         elif lost:
-            follower.take_back()
+            follower.undo_step()
         else:
             follower.rest()
         pause = max(0, elapsed - self._cycle)
@@ -184,7 +184,7 @@ class Gateway(ArmSide):
             position = player.play(follower, elapsed, measured)
             overdue = player.playout.overdue
             if overdue > self._silence:
-                player.give_up(self.session, self.controller.heard_at)
+                player.on_stream_given_up(self.command_session, self.controller.received_at)
                 why = Sentence("no command for {seconds:.3f} s beyond the newest one", seconds=overdue / NANOSECONDS)
                 self.brake(Event.STREAM_SILENT, why)
             return position
@@ -196,13 +196,13 @@ class Gateway(ArmSide):
             return position
         return follower.position
 
-    def observe(self, telegram: Telegram, target: tuple[float, ...], lost: bool) -> None:
-        """Take note of a telegram that the last resort answered with `target` [rad]; `lost`: the reply before it did not arrive."""
+    def on_last_resort(self, telegram: Telegram, target: tuple[float, ...], lost: bool) -> None:
+        """Trace a telegram that the last resort answered with `target` [rad]; `lost`: the reply before it did not arrive."""
         controller = self.controller
-        controller.take_measured(telegram)
+        controller.store_measured(telegram)
         self.command_stamp = 0
         if self.trace is not None:
-            position = target if self._absolute else moved(controller.origin, target)
+            position = target if self._absolute else corrected(controller.origin, target)
             self.trace(telegram.controller_ms, self.counters["rsi_sessions"], self.state, 0, position, lost)
 
     # -- between telegrams
@@ -219,9 +219,9 @@ class Gateway(ArmSide):
             why = Sentence("{silence}; the last one said: {said}", silence=why, said=said) if said else why
             machine.on(Event.CONTROLLER_SILENT, Occasion(why))
         if machine.state is State.NO_CONTROLLER and self.refusals.unread:
-            sentence, is_new = self.refusals.unread_news(now)
+            sentence, is_new = self.refusals.pop_unread(now)
             if sentence:
-                machine.add(sentence)
+                machine.append_to_reason(sentence)
                 machine.changed = machine.changed or is_new
         if self.clock.measures:
             self._judge_clock()
@@ -233,40 +233,40 @@ class Gateway(ArmSide):
                 self.brake(Event.CYCLE_REFUSED, clock.changed)
         elif state is State.READY:
             # a program began RSI anew in the other mode, where nothing else shows that it did
-            if wrong := clock.news(rates=False):
+            if wrong := clock.pop_finding(rates=False):
                 machine.on(Event.CYCLE_REFUSED, Occasion(wrong))
         elif state in (State.MEASURING, State.OTHER_CYCLE):
-            wrong = clock.news()
+            wrong = clock.pop_finding()
             if wrong is not None:
                 machine.on(Event.CYCLE_REFUSED if wrong else Event.CYCLE_FITS, Occasion(wrong or self._began))
         elif state is State.READ_ONLY:
             # it takes no corrections, but the next program may
-            wrong = clock.news()
+            wrong = clock.pop_finding()
             if wrong:
-                machine.add(wrong)
+                machine.append_to_reason(wrong)
                 machine.changed = True
             elif wrong is not None:
-                machine.drop()
+                machine.restore_reason()
 
     # -- what the rows of the table do
 
     def _on_session_began(self, row: Row, occasion: Occasion) -> None:
         self.player.follower = None
         if self.tool is not None:
-            self.tool.begin_session()
+            self.tool.begin_controller_session()
         self.disarm(occasion.reason)
         self.ending = False
         self.controller.replies.begin()
         self.clock.restart()
-        self.player.parts.restart()
-        self.refusals.begin_session()
+        self.player.interpolator.restart()
+        self.refusals.begin_controller_session()
 
     def _on_session_ended(self, row: Row, occasion: Occasion) -> None:
         self.controller.end()
         self.clock.restart()
         self.player.follower = None
         if self.tool is not None:
-            self.tool.end_session(occasion.reason)
+            self.tool.end_controller_session(occasion.reason)
         self.disarm(occasion.reason)
 
     # -- what it tells
@@ -284,10 +284,10 @@ class Gateway(ArmSide):
         counters["states_sent"] += 1
         return payload, StateProperties(counters["states_sent"], stamp, self.command_stamp if self._stamps else 0)
 
-    def take_change(self) -> bool:
+    def pop_change(self) -> bool:
         """Return whether the state changed since the last call."""
         changed, self.machine.changed = self.machine.changed, False
-        return self.tool.take_change() or changed if self.tool is not None else changed
+        return self.tool.pop_change() or changed if self.tool is not None else changed
 
     def status(self) -> dict:
         """Return the content of the `status` topic; each key is explained in docs/reference/mqtt.md."""
@@ -295,27 +295,27 @@ class Gateway(ArmSide):
         status = {
             "state": self.state.value,
             "reason": self.reason,
-            "session": self.session,
+            "session": self.command_session,
             "fault": self.fault,
             "fault_number": self.fault_number,
             "mode": self.mode.value,
             "correction": controller.replies.correction,
-            "controller": controller.status.report(),
+            "controller": controller.status.status_fields(),
             "last_ipoc_jump_ms": controller.jump_ms,
-            "cycle": self.clock.report(),
+            "cycle": self.clock.status_fields(),
             "run": self.run,
             "protocol": PROTOCOL,
             "hash": config.hash,
             "decimals": config.decimals,
             "properties": config.properties,
-            "playout": self.player.playout.report(),
-            "speed_limit": self.commands.speed.report(),
-            "stop": self.stopping.report(),
+            "playout": self.player.playout.status_fields(),
+            "speed_limit": self.commands.speed.status_fields(),
+            "stop": self.stopping.status_fields(),
             "intruder": {"session": owners.intruder, "count": owners.intrusions},
             "last_refusal": self.refusals.last,
             "later_refusal": self.refusals.later,
             "counters": dict(self.counters) | self.side_effects.counts("failed_beside"),
         }
         if self.tool is not None:
-            status["tool"] = self.tool.report(self.reason if self.state is State.FAILED else "")
-        return document(status)
+            status["tool"] = self.tool.status_fields(self.reason if self.state is State.FAILED else "")
+        return json_value(status)

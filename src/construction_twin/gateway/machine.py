@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from construction_twin.core.sentences import both
+from construction_twin.core.sentences import join_sentences
 from construction_twin.gateway.states import ROWS, Action, Event, Guard, Occasion, Row, State
 
 
@@ -40,18 +40,18 @@ class Machine:
         for row in ROWS[self.state, event]:
             refusal = self.guards[row.guard](occasion)
             if not refusal:
-                said = self.actions[row.action](row, occasion)
+                sentence = self.actions[row.action](row, occasion)
                 if row.target is not None:
                     self.state, self.changed = row.target, True
-                    self.reason = self._entered_for = occasion.reason if said is None else said
+                    self.reason = self._entered_for = occasion.reason if sentence is None else sentence
                 return ""
         return refusal or self._refusal()
 
-    def add(self, note: str) -> None:
+    def append_to_reason(self, note: str) -> None:
         """Add to the reason for which the present state was entered, in place of what was added before."""
-        self.reason = both(self._entered_for, note)
+        self.reason = join_sentences(self._entered_for, note)
 
-    def drop(self) -> None:
-        """Take back what was added."""
+    def restore_reason(self) -> None:
+        """Remove what was added to the reason."""
         if self.reason != self._entered_for:
             self.reason, self.changed = self._entered_for, True

@@ -71,19 +71,19 @@ class StopReport:
             if follower.at_rest:
                 braking.end(follower)
 
-    def report(self) -> dict:
+    def status_fields(self) -> dict:
         """Return what the status says: deg, mm for linear axes, and s."""
         braking = self._braking
         return {
             "cause": self._cause,
             "by": self._by,
-            "distance_deg": self._for_people(braking.distance) if braking else [],
+            "distance_deg": self._in_display_units(braking.distance) if braking else [],
             "time_s": braking.time if braking else 0.0,
-            "moved_deg": self._for_people(braking.moved) if braking else [],
+            "moved_deg": self._in_display_units(braking.moved) if braking else [],
             "took_s": braking.took if braking else None,
         }
 
-    def _for_people(self, distances: tuple[float, ...]) -> list[float]:
+    def _in_display_units(self, distances: tuple[float, ...]) -> list[float]:
         # rounded up: what is stated is never less than what it stands for
         return [
             math.ceil(1e6 * (1e3 * distance if linear else math.degrees(distance))) / 1e6
@@ -135,7 +135,7 @@ class Player:
         rate = PlayoutRate(config.limits, config.decimals, config.cycle_ns)
         self.playout = Playout(PlayoutBounds.of(config), rate)
         #: For telegrams that come faster than one a cycle.
-        self.parts = SubCycleInterpolator(config.cycle_ns)
+        self.interpolator = SubCycleInterpolator(config.cycle_ns)
         # the stream that was given up: whose, how late its next command was then [ns], and when [ns]
         self._stalled: tuple[str, int, int] | None = None
         #: Fraction of the velocity limits at which the arm may move.
@@ -145,8 +145,8 @@ class Player:
         #: Stamp of the target last played [ns]; 0 for none.
         self.stamp = 0
         self._stamp_before = 0
-        #: How many times the arm has stood for want of replies since it trailed its stream by nothing.
-        self.stood = 0
+        #: How many times the arm has standstills for want of replies since it trailed its stream by nothing.
+        self.standstills = 0
         #: Braking since the stream ran dry; None while it has not.
         self.braking: Braking | None = None
 
@@ -167,7 +167,7 @@ class Player:
     def clear(self) -> None:
         """Forget the stream; what was learned about the link stays."""
         self.playout.clear()
-        self.stamp = self._stamp_before = self.stood = 0
+        self.stamp = self._stamp_before = self.standstills = 0
         self.braking = None
 
     def push(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
@@ -194,7 +194,7 @@ class Player:
         self.playout.restart_from_rest(pause, taken_back)
         if taken_back:
             self.stamp = self._stamp_before
-        self.stood = self.stood + 1 if self.playout.backlog else 0
+        self.standstills = self.standstills + 1 if self.playout.backlog else 0
 
     def _brake(self, follower: Follower, elapsed: int, measured: tuple[float, ...]) -> tuple[float, ...]:
         if self.braking is None:
@@ -203,8 +203,8 @@ class Player:
             self.braking.elapsed += elapsed
         return follower.brake()
 
-    def give_up(self, session: str, now: int) -> None:
-        """Note that the stream of `session` is given up because of its silence; call it before `clear`."""
+    def on_stream_given_up(self, session: str, now: int) -> None:
+        """Remember that the stream of `session` was given up for its silence; call it before `clear`."""
         self._stalled = session, self.playout.shortfall, now
 
     def learn_from_stall(self, session: str | None, now: int) -> None:

@@ -80,8 +80,8 @@ class Arrivals:
         if jitter > self.learned:
             self.learned, self._changed = jitter, True
 
-    def note_telegram(self, lead: int, clock: int) -> bool:
-        """Take the newest command's lead over the clock, 0 at the stream's first command [ns]; return whether extremes changed."""
+    def on_telegram(self, lead: int, clock: int) -> bool:
+        """Observe the newest command's lead over the clock, 0 at the stream's first one [ns]; return whether extremes changed."""
         if not self._started:
             self._started = True
             self.high = self.low = self._high = self._low = lead
@@ -95,8 +95,8 @@ class Arrivals:
         changed, self._changed = self._changed, False
         return changed
 
-    def note_command(self, lead: int, offset: int) -> None:
-        """Take a command's arrival [ns].
+    def on_command(self, lead: int, offset: int) -> None:
+        """Observe a command's arrival [ns].
 
         Args:
             lead: How far what was there reached beyond the controller's clock at the last telegram.
@@ -223,7 +223,7 @@ class Playout:
         """How late the next command already is against the quickest ones [ns]."""
         return self._arrivals.high - (self.newest - self._clock)
 
-    def lead(self, stamp: int) -> int:
+    def lead_time(self, stamp: int) -> int:
         """Return how far `stamp` [ns] lies ahead of playout time [ns], without what a speed limit has put off."""
         return stamp - self._now - self.rate.put_off
 
@@ -242,7 +242,7 @@ class Playout:
             commands[-1] = stamp, q
         else:
             commands.append((stamp, q))
-        self._arrivals.note_command(self.newest - self._clock, stamp - self._clock - waited)
+        self._arrivals.on_command(self.newest - self._clock, stamp - self._clock - waited)
         self.newest = stamp
         return stamp > self._now
 
@@ -266,17 +266,17 @@ class Playout:
             self._skip_rest()
         before = self._advanced_from = self._now
         self._clock += elapsed
-        if self._arrivals.note_telegram(self.newest - self._clock, self._clock):
+        if self._arrivals.on_telegram(self.newest - self._clock, self._clock):
             self._choose_delay(before + elapsed)
         if rate.steady and elapsed == rate.cycle_ns:
             self._now += elapsed
         else:
-            self._now += rate.advance(elapsed, commands, before >= commands[0][0], self._rests, self._ahead)
-        stamp, target = self._at(self._now)
-        rate.note(target)
+            self._now += rate.advance(elapsed, commands, before >= commands[0][0], self._is_at_rest, self._pose_ahead)
+        stamp, target = self._pose_at(self._now)
+        rate.record_target(target)
         return stamp, target
 
-    def report(self) -> dict:
+    def status_fields(self) -> dict:
         """Return what the playout does, for the status: ms, ppm, and the rate's deviation in percent."""
         drift = self._arrivals.drift_ppm()
         return {
@@ -290,7 +290,7 @@ class Playout:
         }
 
     @property
-    def _rests(self) -> bool:
+    def _is_at_rest(self) -> bool:
         """True when all that is held, and what came before it, is one pose."""
         return self._resting > len(self._commands)
 
@@ -300,7 +300,7 @@ class Playout:
         at_end = self._arrivals.high + CYCLE_NS + self._clock - now - self.rate.remaining
         wanted = self.bounds.delay(self._arrivals.jitter)
         cycles = round((at_end - wanted) / CYCLE_NS)
-        if cycles < 0 or cycles >= (1 if self._rests else SLACK_CYCLES):
+        if cycles < 0 or cycles >= (1 if self._is_at_rest else SLACK_CYCLES):
             self.rate.move(cycles * CYCLE_NS, urgent=cycles <= -SLACK_CYCLES)
             at_end -= cycles * CYCLE_NS
         self.delay = at_end
@@ -314,11 +314,11 @@ class Playout:
         self._clock += pause
         self.rate.restart_from_rest(put_off)
 
-    def _ahead(self, advance: int) -> Pose:
+    def _pose_ahead(self, advance: int) -> Pose:
         """Return the pose at an advance [ns] of the present cycle, without moving on."""
-        return self._at(self._advanced_from + advance)[1]
+        return self._pose_at(self._advanced_from + advance)[1]
 
-    def _at(self, stamp: int) -> tuple[int, Pose]:
+    def _pose_at(self, stamp: int) -> tuple[int, Pose]:
         """Return stamp and pose at a stamp [ns] not far ahead of the oldest command, between the oldest and the newest one."""
         commands, before = self._commands, self._before
         index = 0

@@ -95,7 +95,7 @@ class PlayoutRate:
         """Whether playout time runs as the controller's: nothing is to be moved, and there is no speed limit."""
         return not (self.remaining or self.shift or self._limits)
 
-    def note(self, target: Pose) -> None:
+    def record_target(self, target: Pose) -> None:
         """Remember the target of a cycle, one cycle after the one before it."""
         self._before, self._last = self._last, target
 
@@ -227,18 +227,18 @@ class PlayoutRate:
 
     def _fit(self, wanted: int, steady: int, target: Callable[[int], Pose]) -> int:
         """Return an advance [ns] inside the acceleration limits: `wanted`, or as near to it from `steady` as halving finds."""
-        if wanted == steady or self._allows(target(wanted)):
+        if wanted == steady or self._is_within_limits(target(wanted)):
             return wanted
         refused, accepted = wanted, steady
         for _ in range(HALVINGS):
             middle = (refused + accepted) // 2
-            if self._allows(target(middle)):
+            if self._is_within_limits(target(middle)):
                 accepted = middle
             else:
                 refused = middle
         return accepted
 
-    def _allows(self, target: Pose) -> bool:
+    def _is_within_limits(self, target: Pose) -> bool:
         before, last = self._before, self._last
         if before is None or last is None:
             return True

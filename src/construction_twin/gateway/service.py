@@ -1,7 +1,7 @@
 """rsi_gateway: MQTT <-> robot controller on the cell PC. Runs without ROS: ``python -m construction_twin.gateway --help``.
 
 One thread, one select loop: the controller's datagrams first, then MQTT. An unexpected exception ends neither loop nor answers:
-`GatewayService.guarded` hands the arm to the last resort, which brakes. Standard library and paho-mqtt only.
+`GatewayService.run_guarded` hands the arm to the last resort, which brakes. Standard library and paho-mqtt only.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.controller_socket import ControllerSocket
 from construction_twin.gateway.gateway import Gateway
-from construction_twin.gateway.mqtt_side import MqttSide
+from construction_twin.gateway.mqtt_connection import MqttConnection
 from construction_twin.gateway.states import State
 from construction_twin.gateway.stop_file import StopFile
 from construction_twin.mqtt.client import Broker
@@ -72,7 +72,7 @@ class GatewayService:
         self._selector.register(sock, selectors.EVENT_READ, None)
         reply_time = self.controller.reply_time
         polled = partial(PolledClient, selector=self._selector)
-        self.mqtt = MqttSide(self.gateway, broker, topics, polled, self.guarded, stops, reply_time)
+        self.mqtt = MqttConnection(self.gateway, broker, topics, polled, self.run_guarded, stops, reply_time)
         # state and reason in the log, whether a silent source is
         self._logged: tuple[State | None, str, bool] = None, "", False
         self._running = True
@@ -86,26 +86,26 @@ class GatewayService:
         """Serve until `stop` is called; then bring the arm to rest, and end the controller's program, before answering ends."""
         try:
             while self._running:
-                self._turn()
-            self.guarded(self.gateway.end, Sentence("the gateway is ending"), True)
+                self._run_once()
+            self.run_guarded(self.gateway.end, Sentence("the gateway is ending"), True)
             gateway, resort = self.gateway, self.controller.last_resort
             resort.ending = gateway.config.layout.stop
-            self._turn_while(
+            self._run_while(
                 lambda: not resort.at_rest if self.failure else gateway.state is State.BRAKING, _LONGEST_BRAKING
             )
-            self._turn_while(lambda: resort.ends if self.failure else gateway.ends, _LAST_STOP)
+            self._run_while(lambda: resort.ends_program if self.failure else gateway.ends_program, _LAST_STOP)
         finally:
-            self.guarded(self._tell_failure)
-            self.guarded(self.mqtt.publish_status, True)
-            self.guarded(self.mqtt.polled.close)
+            self.run_guarded(self._publish_failure)
+            self.run_guarded(self.mqtt.publish_status, True)
+            self.run_guarded(self.mqtt.polled.close)
             if self._stops is not None:
-                self.guarded(self._stops.close)
+                self.run_guarded(self._stops.close)
             self._sock.close()
 
-    def _turn_while(self, goes_on: Callable[[], bool], longest: float) -> None:
+    def _run_while(self, goes_on: Callable[[], bool], longest: float) -> None:
         deadline = time.monotonic() + longest
         while goes_on() and time.monotonic() < deadline:
-            self._turn()
+            self._run_once()
 
     def stop(self) -> None:
         """Make `run` brake and return; safe in a signal handler."""
@@ -113,7 +113,7 @@ class GatewayService:
 
     # -- failure
 
-    def guarded(self, part: Callable[..., _Result], *arguments: object) -> _Result | None:
+    def run_guarded(self, part: Callable[..., _Result], *arguments: object) -> _Result | None:
         """Return what a part returns; None after an unexpected exception, when the gateway has failed and the arm brakes."""
         try:
             return part(*arguments)
@@ -133,13 +133,13 @@ class GatewayService:
             # said once; whatever else fails after that changes nothing any more
             self.gateway.counters["failures"] += 1
             return
-        self.controller.last_resort.take_over()
+        self.controller.last_resort.begin()
         self.mqtt.failure = _FAILED
         self.gateway.counters["failures"] += 1
         # told after the next reply: the controller waits neither for a sentence nor for a log line
         self._cause = error
 
-    def _tell_failure(self) -> None:
+    def _publish_failure(self) -> None:
         error, self._cause = self._cause, None
         if error is None:
             return
@@ -160,32 +160,32 @@ class GatewayService:
 
     # -- the loop
 
-    def _turn(self) -> None:
+    def _run_once(self) -> None:
         """Serve controller and MQTT once; everything in a turn happens at its one `now`."""
         events: list | None = []
         if not self.failure:
-            self.guarded(self._work)
+            self.run_guarded(self._serve_once)
         else:
-            events = self.guarded(self._wait)
+            events = self.run_guarded(self._wait)
         if self.failure:
             self.mqtt.now = time.monotonic_ns()
-            if self.guarded(self.controller.rescue):
-                self.guarded(self.mqtt.publish_state, self.mqtt.now)
-            self.guarded(self._tell_failure)
+            if self.run_guarded(self.controller.answer_as_last_resort):
+                self.run_guarded(self.mqtt.publish_state, self.mqtt.now)
+            self.run_guarded(self._publish_failure)
             if events is None:
                 # a selector that fails must neither take the whole processor nor silence MQTT
                 time.sleep(0.001)
             polled = self.mqtt.polled
             if polled.connected if events is None else self._is_readable(events):
-                self.guarded(polled.read)
-            self.guarded(polled.service, self.mqtt.now / NANOSECONDS)
-            self.guarded(self._report, True)
+                self.run_guarded(polled.read)
+            self.run_guarded(polled.service, self.mqtt.now / NANOSECONDS)
+            self.run_guarded(self._publish_status, True)
 
     def _wait(self) -> list:
         # what TLS has decrypted already makes no socket readable
         return self._selector.select(0.0 if self.mqtt.polled.pending else 0.05)
 
-    def _work(self) -> None:
+    def _serve_once(self) -> None:
         events = self._wait()
         if self._thread_failure is not None:
             raise self._thread_failure
@@ -197,18 +197,18 @@ class GatewayService:
             self.mqtt.polled.read()
         self.mqtt.polled.service(now / NANOSECONDS)
         self.gateway.poll(now)
-        self._report(answered)
+        self._publish_status(answered)
         if self.gateway.side_effects.unwritten:
             # a thread of its own, as of a failure: a traceback is formatted from source files
-            told = log.error, self.gateway.side_effects.take()
-            threading.Thread(target=self.gateway.side_effects.write, args=told, daemon=True).start()
+            failed = log.error, self.gateway.side_effects.pop_failures()
+            threading.Thread(target=self.gateway.side_effects.write, args=failed, daemon=True).start()
 
     def _is_readable(self, events: list) -> bool:
         return any(key.data is self.mqtt.polled and mask & selectors.EVENT_READ for key, mask in events)
 
-    def _report(self, answered: bool) -> None:
+    def _publish_status(self, answered: bool) -> None:
         """Publish the status when it has changed, or is due."""
-        if self.gateway.take_change():
+        if self.gateway.pop_change():
             if not self.failure:
                 self._log_change()
             self.mqtt.publish_status()
@@ -225,7 +225,7 @@ class GatewayService:
             unread = state is gateway.state is State.NO_CONTROLLER and gateway.refusals.unread > 0
             wrong = unread or gateway.state is State.OTHER_CYCLE
             kind = "no telegram can be read" if unread else gateway.state.value
-            self.mqtt.say(logging.WARNING if wrong else logging.INFO, kind, gateway.reason)
+            self.mqtt.log_line(logging.WARNING if wrong else logging.INFO, kind, gateway.reason)
         if limit_silent and not was_silent:
-            text = f"its source is silent; {gateway.commands.speed.given:g} of the limits until it speaks"
-            self.mqtt.say(logging.WARNING, "speed limit", text)
+            text = f"its source is silent; {gateway.commands.speed.requested:g} of the limits until it speaks"
+            self.mqtt.log_line(logging.WARNING, "speed limit", text)

@@ -25,7 +25,7 @@ class Mode(Enum):
             return cls.READ_ONLY
         return cls.COMMISSIONING if commissioning else cls.NORMAL
 
-    def noted(self, sentence: str, words: Words) -> str:
+    def describe(self, sentence: str, words: Words) -> str:
         """Return a sentence with what the mode means for the arm."""
         if self is Mode.NORMAL:
             return sentence
@@ -147,7 +147,7 @@ TABLE: tuple[Row, ...] = (
     *rows(_LIVE, Event.FAILURE, State.FAILED, Action.LAST_RESORT),
 )
 
-ROWS = state_table.by_cause(TABLE)
+ROWS = state_table.rows_by_event(TABLE)
 
 #: What the arm brakes for, as `status` and the counters ``stops_<cause>`` name it.
 CAUSES = {

@@ -22,7 +22,7 @@ _AGAIN = 0.5
 
 
 class StopFile:
-    """Keeps why the arm was stopped, until `close`; `found` is what the program before this one left, "" for nothing."""
+    """Saves why the arm was stopped, until `close`; `found` is what the program before this one left, "" for nothing."""
 
     def __init__(self, path: str | Path):
         self._path = Path(path)
@@ -33,7 +33,7 @@ class StopFile:
             expected = f"a file that can be written ({error.strerror})"
             raise ConfigurationError("--stop-file", str(path), expected) from error
         self._wanted = self._written = self.found
-        self._news = threading.Event()
+        self._changed = threading.Event()
         self._ends = False
         self._writer = threading.Thread(target=self._run, name="stop file", daemon=True)
         self._writer.start()
@@ -47,28 +47,28 @@ class StopFile:
             # whatever it was, it was not nothing
             return Sentence("what {path} says of a stop cannot be read", path=str(self._path))
 
-    def keep(self, reason: str) -> None:
-        """Keep why the arm is stopped, "" once somebody has reset it; returns at once."""
+    def save(self, reason: str) -> None:
+        """Have the writer save why the arm is stopped, "" once somebody has reset it; returns at once."""
         # what a message named may be no text: half a surrogate pair
         reason = reason[:LONGEST].encode(errors="replace").decode()
         if reason != self._wanted:
             self._wanted = reason
-            self._news.set()
+            self._changed.set()
 
     def close(self) -> None:
         """Write what is still to be written, as long as that takes no longer than a second."""
         self._ends = True
-        self._news.set()
+        self._changed.set()
         self._writer.join(1.0)
 
     def _run(self) -> None:
-        while not self._ends or self._news.is_set():
-            self._news.wait()
-            self._news.clear()
+        while not self._ends or self._changed.is_set():
+            self._changed.wait()
+            self._changed.clear()
             wanted = self._wanted
             while wanted != self._written and not self._write(wanted) and not self._ends:
-                self._news.wait(_AGAIN)
-                self._news.clear()
+                self._changed.wait(_AGAIN)
+                self._changed.clear()
                 wanted = self._wanted
 
     def _write(self, reason: str) -> bool:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from construction_twin.controller.port import Layout
 from construction_twin.controller.tool import ENABLE, GatewayTool, ToolReading
 from construction_twin.core.reports import SwitchState
-from construction_twin.core.sentences import Sentence, both
+from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.core.units import NANOSECONDS
 
 #: A switch further ahead of the playout than this is refused [s]: it would be one for a motion that nobody sees yet.
@@ -60,8 +60,8 @@ class ToolSwitches:
         self._armed: list[ToolSwitch] = []
         self._reported: deque[ToolSwitch] = deque(maxlen=MOST_REPORTED)
         self._used: deque[str] = deque(maxlen=MEMORY)
-        #: Changes since the last call of `take_change`: one that is told at once, one that may wait for others.
-        self._news = True
+        #: Changes since the last call of `pop_change`: one that is told at once, one that may wait for others.
+        self._urgent = True
         self._changed = False
         self._telegrams = self._reported_at = 0
         self._latest: ToolReading | None = None
@@ -73,7 +73,7 @@ class ToolSwitches:
         self._enabled = False
         self._differs = 0
         #: Of the outputs that are `off` without RSI: those that have read back on since they were commanded on.
-        self._seen: set[str] = set()
+        self._read_on: set[str] = set()
         self._since = 0
         self._dropped = ""
         self._unknown = why
@@ -91,35 +91,37 @@ class ToolSwitches:
             Sentence("{name} reads back on, commanded off", name=name)
             if read
             else Sentence("{name} reads back off, commanded on", name=name)
-            for name, read, told in pairs
-            if read != told
+            for name, read, commanded in pairs
+            if read != commanded
         ]
-        return Sentence("{found}, for more than {seconds:g} s", found=both(*differ), seconds=LONGEST_DIFFERENCE)
+        return Sentence(
+            "{found}, for more than {seconds:g} s", found=join_sentences(*differ), seconds=LONGEST_DIFFERENCE
+        )
 
-    def note(self, reading: ToolReading | None) -> None:
-        """Take what the newest telegram tells; None when it cannot be read."""
+    def on_reading(self, reading: ToolReading | None) -> None:
+        """Store what the newest telegram reads; None when it cannot be read."""
         self._latest = reading
 
-    def begin_session(self) -> None:
+    def begin_controller_session(self) -> None:
         """Forget what was read back: another controller session has begun."""
         self.void(Sentence("another RSI session began"))
         self._begin(Sentence("nothing read back yet in this RSI session"))
-        self._news = True
+        self._urgent = True
 
-    def end_session(self, why: str) -> None:
+    def end_controller_session(self, why: str) -> None:
         """Forget what was read back: the controller session is over."""
         self.void(why)
         self._latest = None
         self._begin(why)
-        self._news = True
+        self._urgent = True
 
-    def hear(self, obstacle: str = "", missed: bool = False) -> None:
-        """Take the reading of a telegram, why its session is not answered, and whether the controller missed a reply before it."""
+    def on_telegram(self, obstacle: str = "", missed: bool = False) -> None:
+        """Compare the stored reading; `obstacle`: why the session is not answered, `missed`: the controller missed a reply."""
         self._telegrams += 1
         reading = self._latest
         why = obstacle or ("" if reading is not None else _NOT_TOLD)
         if why != self._unknown:
-            self._unknown, self._news = why, True
+            self._unknown, self._urgent = why, True
             if why:
                 self._counters["tool_read_back_lost"] += 1
                 self.void(Sentence("the outputs are not read back: {why}", why=why))
@@ -133,15 +135,15 @@ class ToolSwitches:
             # whoever else switches them, a person at the pendant or the KRL program, is right
             if reading.outputs != self._commanded:
                 self._command(reading.outputs)
-                self._seen.update(name for name, read in zip(self._names, reading.outputs) if read)
+                self._read_on.update(name for name, read in zip(self._names, reading.outputs) if read)
         elif reading.outputs != self._commanded:
             self._differs += 1
             if self._differs == self._longest_difference + 1:
                 self._counters["tool_outputs_differ"] += 1
-                self._news = True
+                self._urgent = True
                 self.void(self.difference)
         elif self._differs:
-            self._news = self._news or self._differs > self._longest_difference
+            self._urgent = self._urgent or self._differs > self._longest_difference
             self._differs = 0
 
     def _drop(self, reading: ToolReading | None, missed: bool) -> None:
@@ -151,8 +153,8 @@ class ToolSwitches:
         dropped = []
         for name in [name for name, value in zip(self._names, self._commanded) if value and name in self._off]:
             if not missed and read.get(name) is True:
-                self._seen.add(name)
-            elif missed or (read.get(name) is False and (name in self._seen or self._since > ROUND_TRIP)):
+                self._read_on.add(name)
+            elif missed or (read.get(name) is False and (name in self._read_on or self._since > ROUND_TRIP)):
                 dropped.append(name)
         if dropped:
             self._command(tuple(value and name not in dropped for name, value in zip(self._names, self._commanded)))
@@ -162,17 +164,17 @@ class ToolSwitches:
             )
             self._counters["tool_outputs_dropped"] += len(dropped)
             self.void(self._dropped)
-            self._news = True
+            self._urgent = True
 
     def _compare(self, reading: ToolReading) -> None:
         before, self._reading = self._reading, reading
         if before is None or reading.outputs != before.outputs:
-            self._news = True
+            self._urgent = True
         elif reading.inputs != before.inputs:
             self._counters["tool_input_changes"] += 1
             self._changed = True
 
-    def play(self, stamp: int) -> None:
+    def fire_due(self, stamp: int) -> None:
         """Fire what is due: the playout plays the setpoint of `stamp` [ns] in this reply."""
         while self._armed and self._armed[0].stamp <= stamp:
             switch = self._armed.pop(0)
@@ -180,11 +182,11 @@ class ToolSwitches:
             pairs = zip(self._names, self._commanded)
             self._command(tuple(switch.value if name == switch.output else value for name, value in pairs))
             self._counters["tool_switches_fired"] += 1
-            self._news = True
+            self._urgent = True
             switch.state, switch.reason = SwitchState.FIRED, _FIRED
 
     def _command(self, values: tuple[bool, ...]) -> None:
-        self._seen &= {name for name, value in zip(self._names, values) if value}
+        self._read_on &= {name for name, value in zip(self._names, values) if value}
         self._commanded, self._differs, self._since = values, 0, 0
         self._replies.clear()
 
@@ -218,7 +220,7 @@ class ToolSwitches:
         self._used.append(switch.id)
         self._reported.append(switch)
         why = obstacle or self._refusal(switch, lead)
-        self._news = True
+        self._urgent = True
         if why:
             refusal = Sentence("tool: {why}", why=why)
             switch.state, switch.reason = SwitchState.REFUSED, refusal
@@ -256,20 +258,20 @@ class ToolSwitches:
         self._armed.clear()
         if count:
             self._counters["tool_switches_void"] += count
-            self._news = True
+            self._urgent = True
         return count
 
     # -- status
 
-    def take_change(self) -> bool:
+    def pop_change(self) -> bool:
         """Return whether something is to be told now; inputs that chatter wait until others have been told for a while."""
-        if not self._news and not (self._changed and self._telegrams - self._reported_at >= self._pause):
+        if not self._urgent and not (self._changed and self._telegrams - self._reported_at >= self._pause):
             return False
-        self._news = self._changed = False
+        self._urgent = self._changed = False
         self._reported_at = self._telegrams
         return True
 
-    def report(self, failure: str = "") -> dict:
+    def status_fields(self, failure: str = "") -> dict:
         """Return what `status` says of the tool; `failure`: why nothing of it is true any more."""
         reading = self._reading
         unknown = failure or self._unknown or self.difference

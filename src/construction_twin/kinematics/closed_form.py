@@ -307,7 +307,7 @@ class ClosedFormInverse(BranchInverse):
         """Raise the error that says why there is no solution."""
         check_pose(pose)
         if configuration is not None:
-            self.refuse(configuration, pose, seed)
+            self.raise_configuration_error(configuration, pose, seed)
         flange = self.flange(pose)
         branches, _, extension = self.branches(flange)
         if extension[0] < 0.0:

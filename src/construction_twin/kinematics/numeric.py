@@ -94,7 +94,7 @@ class NumericInverse(InverseKinematics):
         self._solver.CartToJnt(self._start, target, self._end)
         return np.array([self._end[index] for index in range(len(self.ranges.lower))])
 
-    def starts(self, seed: np.ndarray) -> Iterator[np.ndarray]:
+    def starting_points(self, seed: np.ndarray) -> Iterator[np.ndarray]:
         """Yield starting points: the seed, home, then random ones, near the seed and anywhere in the ranges in turn."""
         yield seed
         yield np.array(self.chain.robot.home)
@@ -106,7 +106,7 @@ class NumericInverse(InverseKinematics):
                 near = self._rng.normal(seed, reach)
                 yield np.clip(near, self.ranges.lower, self.ranges.upper)
 
-    def near(self, q: np.ndarray, seed: np.ndarray) -> np.ndarray:
+    def nearest_turns(self, q: np.ndarray, seed: np.ndarray) -> np.ndarray:
         """Return joint values, shape (n,), with the turns nearest to a seed; out of range by rounding: at the end of the range."""
         slack = self.settings.tolerance_rad
         q = self.ranges.into_range(q, seed, slack)
@@ -118,7 +118,7 @@ class NumericInverse(InverseKinematics):
         values = np.linalg.svd(self.chain.jacobian(q), full_matrices=False, compute_uv=False)
         return bool(values[-1] < _RANK * values[0])
 
-    def towards(self, q: np.ndarray, seed: np.ndarray, pose: Pose) -> np.ndarray:
+    def along_self_motion(self, q: np.ndarray, seed: np.ndarray, pose: Pose) -> np.ndarray:
         """Move a redundant or singular arm, whose `q` reaches the pose, along its self-motion to the nearest to the seed in range.
 
         Whether the result reaches the pose is for the caller to check.
@@ -140,7 +140,7 @@ class NumericInverse(InverseKinematics):
     def missing_position(self, pose: Pose, seed: np.ndarray) -> float:
         """Return the smallest distance found of the tip to a position within the ranges, orientation ignored [m]."""
         best = math.inf
-        for q in islice(self.starts(seed), _POSITION_STARTS):
+        for q in islice(self.starting_points(seed), _POSITION_STARTS):
             for _ in range(_POSITION_STEPS):
                 error = pose.position - self.chain.forward(q).position
                 length = float(np.linalg.norm(error))
@@ -230,18 +230,18 @@ class _Search:
         """
         began = self._inverse._clock()
         budget = self._settings.budget_s
-        for start in self._inverse.starts(self._seed):
+        for start in self._inverse.starting_points(self._seed):
             if self._tried and self._inverse._clock() - began >= budget:
                 return
             self._tried += 1
-            solution = self._try(start)
+            solution = self._solve_from(start)
             if solution is not None:
                 budget = 0.5 * self._settings.budget_s
                 yield solution
 
-    def _try(self, start: np.ndarray) -> IkSolution | None:
+    def _solve_from(self, start: np.ndarray) -> IkSolution | None:
         inverse = self._inverse
-        q = inverse.near(inverse.solve_from(start, self._target), self._seed)
+        q = inverse.nearest_turns(inverse.solve_from(start, self._target), self._seed)
         # forward kinematics decides whether this is the pose; the solver's own verdict is not used
         error = residual(inverse.chain, q, self._pose)
         if not inverse.is_solved(*error):
@@ -251,7 +251,7 @@ class _Search:
         if inverse._redundant or inverse.is_singular(q):
             if inverse.ranges.excesses(q).max() <= 0.0:
                 self._unmoved.append(q)
-            moved = inverse.towards(q, self._seed, self._pose)
+            moved = inverse.along_self_motion(q, self._seed, self._pose)
             moved_error = residual(inverse.chain, moved, self._pose)
             if inverse.is_solved(*moved_error):
                 q, error = moved, moved_error

@@ -76,7 +76,7 @@ class Carriage:
         self.origin = base_T_tip.position - self.rotation @ carriage_T_tip.position
         self.direction = chain.jacobian(home)[:3, 0]
 
-    def seen_from(self, pose: Pose, position: float) -> Pose:
+    def target_from_carriage(self, pose: Pose, position: float) -> Pose:
         """Return ``carriage_T_tip`` of a target ``base_T_tip`` with the carriage at a position."""
         origin = self.origin + position * self.direction
         return Pose(self.rotation.T @ (pose.position - origin), self.rotation.T @ pose.rotation)
@@ -107,7 +107,7 @@ class _Rows(NamedTuple):
     wrist: np.ndarray
 
 
-class _Found(NamedTuple):
+class _Candidate(NamedTuple):
     """Rank, see `_OUT`; branch as in `SLOTS`; joint values of shape (7,)."""
 
     rank: float
@@ -139,7 +139,9 @@ class RailInverse(InverseKinematics):
         best, singular = self._divide(flange, self._along(flange, start[0], configuration), start, one=True)
         found = self._first_confirmed(best, pose, start)
         for position in (start[0], *singular):
-            of_arm = self._arm.find(self._carriage.seen_from(pose, position), start[1:].tolist(), configuration)
+            of_arm = self._arm.find(
+                self._carriage.target_from_carriage(pose, position), start[1:].tolist(), configuration
+            )
             found += [] if of_arm is None else self._lifted(position, of_arm, pose, start)
         if found:
             return min(found, key=lambda solution: solution.distance)
@@ -156,7 +158,7 @@ class RailInverse(InverseKinematics):
                 found += self.turned(one.q, pose, start, one.configuration)
         for position in (start[0], *singular):
             try:
-                of_arm = self._arm.all(self._carriage.seen_from(pose, position), start[1:], configuration)
+                of_arm = self._arm.all(self._carriage.target_from_carriage(pose, position), start[1:], configuration)
             except KinematicsError:
                 continue  # out of range at this position, or not in this configuration
             found += [lifted for one in of_arm for lifted in self._lifted(position, one, pose, start)]
@@ -183,7 +185,7 @@ class RailInverse(InverseKinematics):
         """Return the seed, shape (7,), and a target as the arm's model has it with the carriage at zero, shape (4, 4)."""
         self.chain.robot.check_range(seed)
         check_pose(pose)
-        return np.array(seed, dtype=float), self._arm.flange(self._carriage.seen_from(pose, 0.0))
+        return np.array(seed, dtype=float), self._arm.flange(self._carriage.target_from_carriage(pose, 0.0))
 
     def _branches(self, flange: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the arm's branches at positions, shape (m, 8, 6), and |sin| of their wrist angles, shape (m, 8)."""
@@ -255,10 +257,12 @@ class RailInverse(InverseKinematics):
         rank[np.isnan(worst)] = math.inf
         return rank, away
 
-    def _divide(self, flange: np.ndarray, rows: _Rows, seed: np.ndarray, one: bool) -> tuple[list[_Found], list[float]]:
+    def _divide(
+        self, flange: np.ndarray, rows: _Rows, seed: np.ndarray, one: bool
+    ) -> tuple[list[_Candidate], list[float]]:
         """Return what of each branch, or of all (`one`), is nearest to the seed, and the positions where the wrist is singular."""
         best = np.full(len(SLOTS), math.inf)
-        found: list[_Found] = []
+        found: list[_Candidate] = []
         singular: list[float] = []
         coarse = True
         while len(rows.slots):
@@ -267,7 +271,7 @@ class RailInverse(InverseKinematics):
             for values, ways, column, slot in zip(rank, away, lowest.tolist(), rows.slots.tolist()):
                 if values[column] < min(best[slot], _OUT):
                     best[slot] = values[column]
-                    found.append(_Found(float(values[column]), slot, seed + ways[column]))
+                    found.append(_Candidate(float(values[column]), slot, seed + ways[column]))
             if one:
                 best[:] = best.min()
             row, at, flips = _promising(rows, rank, away, np.sqrt(best)[rows.slots], coarse)
@@ -276,7 +280,7 @@ class RailInverse(InverseKinematics):
             rows = self._between(flange, rows.slots[row], rows.positions[row, at], rows.positions[row, at + 1])
         return sorted(found, key=lambda each: each.rank), np.unique(np.round(singular, 8)).tolist()
 
-    def _first_confirmed(self, found: Iterable[_Found], pose: Pose, seed: np.ndarray) -> list[IkSolution]:
+    def _first_confirmed(self, found: Iterable[_Candidate], pose: Pose, seed: np.ndarray) -> list[IkSolution]:
         """Return the first that forward kinematics confirms, as a list; empty if there is none."""
         solutions = (self.confirmed(each.q.tolist(), pose, seed, SLOTS[each.slot]) for each in found)
         return next(([solution] for solution in solutions if solution is not None), [])
@@ -289,7 +293,7 @@ class RailInverse(InverseKinematics):
     def _search_or_explain(self, pose: Pose, seed: np.ndarray, configuration: Configuration | None) -> IkSolution:
         """Return the solution that the search finds, or raise the error that says why there is none."""
         if configuration is not None:
-            self.refuse(configuration, pose, seed)
+            self.raise_configuration_error(configuration, pose, seed)
         try:
             found = self._search.nearest(pose, seed)
             return replace(found, configuration=self.configuration(found.q))
@@ -302,7 +306,7 @@ class RailInverse(InverseKinematics):
         """Raise the error that says why there is no solution at any position."""
         low, high = self._ends[0]
         positions = np.linspace(low, high, math.ceil((high - low) / _SPACING) + 2).tolist()
-        targets = [self._arm.flange(self._carriage.seen_from(pose, position)) for position in positions]
+        targets = [self._arm.flange(self._carriage.target_from_carriage(pose, position)) for position in positions]
         branches, _, extension = self._arm.branches(np.array(targets))
         best = int(extension.argmax())
         if extension[best] < 0.0:

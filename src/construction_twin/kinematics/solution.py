@@ -11,7 +11,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from construction_twin.core.sentences import Quantity, Sentence, both
+from construction_twin.core.sentences import Quantity, Sentence, join_sentences
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.motion_errors import JointRangeError, KinematicsError
@@ -96,7 +96,7 @@ class NotFoundError(KinematicsError):
                 "no joint solution was found in the time given ({budget:.3g} s, {tried} starts); it may still be reachable: {seen}",
                 budget=budget_s,
                 tried=tried,
-                seen=both(best, hint, Sentence("allow more time or turn the target")),
+                seen=join_sentences(best, hint, Sentence("allow more time or turn the target")),
             )
         )
 
@@ -228,11 +228,11 @@ class Ranges:
         """Return by how much each joint is out of range, shape (..., n); 0 or less: it is in range."""
         return np.maximum(self.lower - q, q - self.upper)
 
-    def turned(self, q: Sequence[float], slack: float, kept: Sequence[int] = ()) -> Iterator[tuple[float, ...]]:
-        """Return joint values with every choice of whole turns within the ranges, but of joints `kept` as they are."""
+    def turned(self, q: Sequence[float], slack: float, fixed: Sequence[int] = ()) -> Iterator[tuple[float, ...]]:
+        """Return joint values with every choice of whole turns within the ranges, but of joints `fixed` as they are."""
         choices: list[list[float]] = []
         for joint, (value, (lower, upper, turn)) in enumerate(zip(q, self._each)):
-            if joint in kept or not turn:
+            if joint in fixed or not turn:
                 choices.append([value])
                 continue
             first, last = math.ceil((lower - slack - value) / turn), math.floor((upper + slack - value) / turn)
@@ -283,7 +283,7 @@ class InverseKinematics(abc.ABC):
         """Return in which configuration joint values are [rad]; None: the arm has no named configurations."""
         return None
 
-    def refuse(self, configuration: Configuration, pose: Pose, seed: JointValues) -> NoReturn:
+    def raise_configuration_error(self, configuration: Configuration, pose: Pose, seed: JointValues) -> NoReturn:
         """Raise the error that names the configurations that reach a pose, or the reason if none does."""
         others = {str(solution.configuration) for solution in self.all(pose, seed)}
         raise BranchError(str(configuration), tuple(sorted(others)), "does not exist for this pose within the ranges")
@@ -320,12 +320,12 @@ class InverseKinematics(abc.ABC):
         pose: Pose,
         seed: JointValues,
         configuration: Configuration | None = None,
-        kept: Sequence[int] = (),
+        fixed: Sequence[int] = (),
     ) -> list[IkSolution]:
-        """Return joint values with every choice of whole turns but of the joints `kept`, where forward kinematics confirms it."""
+        """Return joint values with every choice of whole turns but of the joints `fixed`, where forward kinematics confirms it."""
         if not np.isfinite(q).all():
             return []
-        every = self.ranges.turned(q.tolist(), self.settings.tolerance_rad, kept)
+        every = self.ranges.turned(q.tolist(), self.settings.tolerance_rad, fixed)
         found = (self.confirmed(each, pose, seed, configuration) for each in every)
         return [solution for solution in found if solution is not None]
 
@@ -374,22 +374,22 @@ def residual(chain: Chain, q: JointValues, pose: Pose) -> tuple[float, float]:
 
 def distinct(solutions: Sequence[IkSolution], same: float = _SAME) -> list[IkSolution]:
     """Return solutions without those that are nearer than `same` to an earlier one [rad], in their order."""
-    kept: list[IkSolution] = []
+    unique: list[IkSolution] = []
     for solution in solutions:
-        if all(math.dist(solution.q, other.q) > same for other in kept):
-            kept.append(solution)
-    return kept
+        if all(math.dist(solution.q, other.q) > same for other in unique):
+            unique.append(solution)
+    return unique
 
 
 def spaced(
-    q: np.ndarray, kept: Sequence[IkSolution], most: int, confirm: Callable[[int], IkSolution | None]
+    q: np.ndarray, existing: Sequence[IkSolution], most: int, confirm: Callable[[int], IkSolution | None]
 ) -> Iterator[IkSolution]:
-    """Yield solutions along the self-motions of a pose, each apart from all others, and from those `kept`, by `_APART`.
+    """Yield solutions along the self-motions of a pose, each apart from all others, and from those `existing`, by `_APART`.
 
     `q`, shape (m, n), samples the self-motions, those first which are wanted most; `confirm` makes a solution of a sample's number.
     """
     apart = np.full(len(q), math.inf)
-    for solution in kept:
+    for solution in existing:
         np.minimum(apart, np.linalg.norm(q - solution.q, axis=1), out=apart)
     while most > 0 and (apart > _APART).any():
         number = int((apart > _APART).argmax())

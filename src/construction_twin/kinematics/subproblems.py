@@ -113,8 +113,8 @@ class ClosedForm:
         return max(self.off_m, self.off_rad) <= TOLERANCE
 
     @property
-    def misses(self) -> float:
-        """By how much the arm misses the model, as a fraction of what is allowed; 0: it is exact."""
+    def relative_error(self) -> float:
+        """Deviation of the arm from the model, as a fraction of what is allowed; 0: it is exact."""
         return 0.0 if self.exact else max(self.off_m / NEAR_M, self.off_rad / NEAR_RAD)
 
     def solver(self) -> Solver:
@@ -128,9 +128,9 @@ def find_closed_form(chain: Chain) -> ClosedForm | str:
     """Return the model that solves six revolute joints, the exact one if there is one, else the nearest; or why there is none."""
     axes, tip = joint_axes(chain), chain.forward([0.0] * 6)
     forms = [form for form in (_model(kind, axes, tip) for kind in KINDS) if form is not None]
-    forms.sort(key=lambda form: form.misses)
+    forms.sort(key=lambda form: form.relative_error)
     for form in forms:
-        if form.misses <= 1.0 and _works(form, chain):
+        if form.relative_error <= 1.0 and _is_solvable(form, chain):
             return form
     if not forms:
         return "no two of its neighbouring axes meet"
@@ -169,7 +169,7 @@ def _model(kind: tuple[_Property, ...], axes: Sequence[Axis], tip: Pose) -> Clos
     return ClosedForm(" and ".join(words), off_m, float(turned.max()), directions, points, tip)
 
 
-def _works(form: ClosedForm, chain: Chain) -> bool:
+def _is_solvable(form: ClosedForm, chain: Chain) -> bool:
     """Return whether EAIK solves a model, and whether the model is the chain as far as it should be."""
     robot = chain.robot
     allowed = _AGREES if form.exact else 10.0 * (form.off_m + form.off_rad)

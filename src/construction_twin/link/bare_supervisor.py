@@ -33,12 +33,12 @@ class BareObservations(LinkObservations):
     """What is known of broker, bare PLC, arm and command stream."""
 
     #: Whether `offline` was said since this was set to False.
-    offline_heard = False
+    offline_received = False
 
     def on_status(self, status: GatewayStatus, now: int) -> str:
         """Take what was said on `status`; an `offline` counts, however soon `ready` follows: the PLC has stopped."""
         problem = super().on_status(status, now)
-        self.offline_heard |= status.state == OFFLINE
+        self.offline_received |= status.state == OFFLINE
         return problem
 
     def why_not_believed(self, status: GatewayStatus, now: int) -> str:
@@ -55,7 +55,7 @@ class BareObservations(LinkObservations):
             )
         if self.status is NO_STATUS:
             return LinkState.GATEWAY_OFFLINE, Sentence("no PLC has said `ready` on its `status` topic, retained")
-        if self.offline_heard or self.status.state == OFFLINE:
+        if self.offline_received or self.status.state == OFFLINE:
             return LinkState.GATEWAY_OFFLINE, Sentence("the PLC says `offline`: it takes no strings; see to the PLC")
         if not self.pose_is_fresh(now):
             why = self.why_no_pose(now) or Sentence("no joint string comes on its `state` topic")
@@ -79,24 +79,24 @@ class BareSupervisor(LinkSupervisor):
     def poll(self, now: int) -> None:
         """Update the state; there is never anything to send."""
         super().poll(now)
-        self.inputs.offline_heard = False
+        self.inputs.offline_received = False
 
-    def _go(self, state: LinkState, reason: str) -> None:
-        super()._go(state, reason)
+    def _enter(self, state: LinkState, reason: str) -> None:
+        super()._enter(state, reason)
         # it ends with the session
         if state not in (LinkState.RESYNC, LinkState.ARMED):
             self.responsible = ""
 
-    def _judge(self, now: int) -> None:
+    def _update_state(self, now: int) -> None:
         if self.mirrors:
-            super()._judge(now)
+            super()._update_state(now)
         elif self.state in (*ABSENT, LinkState.MIRROR):
-            self._go(
+            self._enter(
                 LinkState.NEEDS_RESET,
                 Sentence("a bare PLC is armed by a person, by name: {command}", command=ARM_COMMAND),
             )
 
-    def _take_turn(self, now: int) -> None:
+    def _choose_message(self, now: int) -> None:
         # a stream in motion may pass the arm's pose; no gateway would refuse what begins at speed
         known = self.inputs
         together = known.within_tolerance(now) and known.at_rest(now) and known.stream_rests(now)
@@ -108,7 +108,7 @@ class BareSupervisor(LinkSupervisor):
                 name=self.responsible,
                 topics=topics,
             )
-            self._go(LinkState.ARMED, armed)
+            self._enter(LinkState.ARMED, armed)
 
     def request_arm(self, now: int, person: str = "") -> None:
         """Begin a session in the name of the person who is responsible for what is not checked; ReviewError where it cannot."""

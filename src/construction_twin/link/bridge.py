@@ -10,9 +10,9 @@ from dataclasses import replace
 
 from construction_twin.core.errors import ExpiredError, PayloadError
 from construction_twin.core.freshness import Moment, is_newer, parse_moment, staleness
-from construction_twin.core.records import SPACED, dumped
+from construction_twin.core.records import SPACED, to_json
 from construction_twin.core.reports import LinkReport, ToolReport
-from construction_twin.core.sentences import Sentence, both
+from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.core.travel_time import TravelTime
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
@@ -87,7 +87,7 @@ class StateCheck:
             self._early += 1
             raise PayloadError("early", f"state travelled {-excess / NANOSECONDS:.3f} s less than the quickest one")
         self._early = 0
-        self._travel.take(stamp, received)
+        self._travel.record(stamp, received)
         if excess > self._limit:
             raise PayloadError("stale", f"state is {excess / NANOSECONDS:.3f} s older than the freshest one")
 
@@ -121,7 +121,7 @@ class JointStrings:
     def __init__(self, codec: JointStringCodec, properties: bool, bare: bool, max_age: float):
         self._codec = codec
         self.properties = properties and not bare
-        self._read_beside = no_properties if bare else read_state_properties
+        self._read_properties = no_properties if bare else read_state_properties
         self._check = StateCheck(max_age)
         self.sent = self.received = 0
 
@@ -134,13 +134,15 @@ class JointStrings:
         """Expect another gateway's states."""
         self._check.restart()
 
-    def command(self, q: tuple[float, ...], session: str, stamp: int) -> tuple[bytes, list[tuple[str, str]] | None]:
+    def encode_command(
+        self, q: tuple[float, ...], session: str, stamp: int
+    ) -> tuple[bytes, list[tuple[str, str]] | None]:
         """Return the next command [rad], or raise PayloadError."""
         payload = self._codec.encode(q)
         self.sent += 1
         return payload, CommandProperties(session, self.sent, stamp).pairs() if self.properties else None
 
-    def state(
+    def decode_state(
         self, payload: bytes, pairs: list[tuple[str, str]], retained: bool, now: int
     ) -> tuple[tuple[float, ...], StateProperties]:
         """Return the arm's pose [rad] and what stands beside it, or raise PayloadError."""
@@ -148,14 +150,14 @@ class JointStrings:
             raise PayloadError("retained", "retained state: its age is unknown")
         q = self._codec.decode(payload)
         # where the link carries properties, a pose without them is not the gateway's
-        beside = self._read_beside(pairs) if pairs or self.properties else None
-        if beside is not None:
-            self._check.accept(beside.seq, beside.stamp, now)
+        properties = self._read_properties(pairs) if pairs or self.properties else None
+        if properties is not None:
+            self._check.accept(properties.seq, properties.stamp, now)
         self.received += 1
-        return q, beside or _NO_PROPERTIES
+        return q, properties or _NO_PROPERTIES
 
 
-class Asked:
+class PendingRequest:
     """A person's request for a session, from the call to the answer.
 
     Attributes:
@@ -174,7 +176,7 @@ class Asked:
     def answer(self, now: int, ending: bool) -> tuple[bool, str] | None:
         """Return whether the link is armed, and one sentence; None: ask again. The last look withdraws what has failed."""
         if self._answer is None:
-            self._answer = self._look(ending or now >= self._deadline, now)
+            self._answer = self._outcome(ending or now >= self._deadline, now)
             self._deadline = now + WITHDRAWAL if self._answer else self._deadline
         # who asks again at once must know of the stop with which it is withdrawn
         supervisor = self._supervisor
@@ -182,7 +184,7 @@ class Asked:
             return None
         return self._answer
 
-    def _look(self, late: bool, now: int) -> tuple[bool, str] | None:
+    def _outcome(self, late: bool, now: int) -> tuple[bool, str] | None:
         supervisor = self._supervisor
         has_begun = supervisor.session != self._before
         if supervisor.halts != self._halts:
@@ -196,7 +198,7 @@ class Asked:
             sentence = Sentence(
                 "not armed within {timeout:g} s: {why}",
                 timeout=self._timeout,
-                why=why if refused in why else both(why, refused),
+                why=why if refused in why else join_sentences(why, refused),
             )
         else:
             return None
@@ -227,16 +229,16 @@ class Bridge:
         self.played = ""
         self._strings, self._timeout, self._new_id = strings, timeout, new_id
         self._tool = ToolLink(new_id)
-        self._tool_told: ToolReport | None = None
+        self._published_tool: ToolReport | None = None
         #: The last stop that is known, and from when on a view surely shows it.
         self._stop: object = None
         self._stop_shown_from: Moment | None = None
         #: Why only a person leads on, for the process after this one; "": nobody is waited for.
-        self.waits = waits
+        self.waits_for = waits
         # what the gateway's last status says beside its counters
         self._values: dict[str, str] = {}
-        self._told: tuple[LinkState, str, str] | None = None
-        self._told_at = 0
+        self._published: tuple[LinkState, str, str] | None = None
+        self._published_at = 0
         # session and speed limit that were sent last, when, and how many were; and the one that is still to be sent
         self._limit, self._limit_at, self._limits = ("", 1.0), 0, 0
         self._next_limit: float | None = None
@@ -247,10 +249,10 @@ class Bridge:
         """Update the link; return what is to be sent now."""
         supervisor = self.supervisor
         control = supervisor.poll(now)
-        self._note_stops(present)
+        self._record_stops(present)
         # the first sentence stays until nobody is waited for: figures may waver in those that follow
         waits = supervisor.waits_for
-        self.waits = waits and (self.waits or waits)
+        self.waits_for = waits and (self.waits_for or waits)
         return control or self._limit_due(now)
 
     def on_speed_limit(self, limit: float, now: int) -> Control | None:
@@ -279,7 +281,7 @@ class Bridge:
         if problem := self.supervisor.inputs.on_status(status, now):
             raise PayloadError("status", problem)
         self._tool.on_status(status)
-        self._values = status.shown()
+        self._values = status.text_values()
         if status.state == OFFLINE:
             self._strings.restart()
 
@@ -316,8 +318,8 @@ class Bridge:
             obstacle = Sentence("a bare PLC has no tool here: no switch is possible")
         elif self.supervisor.state in (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE, LinkState.MISMATCH):
             obstacle = self._link_sentence
-        before, self._tool_told = self._tool_told, self._tool.report(obstacle)
-        return None if self._tool_told == before else self._tool_told
+        before, self._published_tool = self._published_tool, self._tool.state_report(obstacle)
+        return None if self._published_tool == before else self._published_tool
 
     @property
     def _link_sentence(self) -> Sentence:
@@ -326,7 +328,7 @@ class Bridge:
 
     # -- what a person asks for
 
-    def ask(self, verb: str, person: str, moment: str | None, now: int, present: Moment) -> Asked:
+    def ask(self, verb: str, person: str, moment: str | None, now: int, present: Moment) -> PendingRequest:
         """Ask for a session: `reset` starts over from the arm's pose, `arm` where nothing needs to move for it.
 
         Args:
@@ -337,16 +339,16 @@ class Bridge:
             PayloadError: `act`, `moment`
             ReviewError: What stands against it.
         """
-        self._note_stops(present)
+        self._record_stops(present)
         if moment is not None:
-            seen = parse_moment(moment)
-            if problem := staleness(seen, present):
+            shown_at = parse_moment(moment)
+            if problem := staleness(shown_at, present):
                 raise ExpiredError(Sentence("this is {problem}", problem=problem))
-            if not is_newer(seen, self._stop_shown_from):
+            if not is_newer(shown_at, self._stop_shown_from):
                 raise ExpiredError(
                     Sentence("this is void: the arm was stopped after what the screen had shown; ask anew")
                 )
-        asked = Asked(self.supervisor, now, self._timeout)
+        asked = PendingRequest(self.supervisor, now, self._timeout)
         if verb == "reset":
             self.supervisor.request_reset(now)
         elif verb == "arm":
@@ -356,15 +358,15 @@ class Bridge:
         asked.number = self.supervisor.requests
         return asked
 
-    def _note_stops(self, present: Moment) -> None:
+    def _record_stops(self, present: Moment) -> None:
         stop = (*self.supervisor.known_stop, self.supervisor.halts)
         if stop != self._stop:
             self._stop, self._stop_shown_from = stop, replace(present, at=present.at + SHOWN_AFTER)
 
-    def mirror(self, leads: bool, now: int) -> tuple[str, Asked | None]:
+    def mirror(self, leads: bool, now: int) -> tuple[str, PendingRequest | None]:
         """Begin or end mirror mode; return one sentence, and the request that it ends in."""
         supervisor = self.supervisor
-        asked, before = Asked(supervisor, now, self._timeout), supervisor.requests
+        asked, before = PendingRequest(supervisor, now, self._timeout), supervisor.requests
         sentence = supervisor.begin_mirror(now) if leads else supervisor.end_mirror(now)
         asked.number = supervisor.requests
         return sentence, asked if asked.number != before else None
@@ -385,16 +387,16 @@ class Bridge:
         # a status of a gateway that is gone says nothing of now
         if supervisor.state in (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE):
             return supervisor.reason
-        return both(supervisor.reason, supervisor.inputs.status.controller_sentence)
+        return join_sentences(supervisor.reason, supervisor.inputs.status.controller_sentence)
 
     def news(self, now: int, connection: str) -> tuple[bool, bool]:
         """Return whether the link is to be reported now, and whether it has changed but for figures."""
         supervisor = self.supervisor
         news = supervisor.state, without_counts(self.reason(connection)), supervisor.session
-        changed = news != self._told
-        if not changed and now - self._told_at < _REPEAT:
+        changed = news != self._published
+        if not changed and now - self._published_at < _REPEAT:
             return False, False
-        self._told, self._told_at = news, now
+        self._published, self._published_at = news, now
         return True, changed
 
     def status(self) -> bytes:
@@ -402,13 +404,13 @@ class Bridge:
         supervisor = self.supervisor
         bare = (supervisor.responsible, supervisor.not_checked) if supervisor.not_checked else (None, None)
         name = supervisor.state.name.lower()
-        return dumped(BridgeStatus(name, supervisor.reason, supervisor.session, PROTOCOL, *bare), marks=SPACED)
+        return to_json(BridgeStatus(name, supervisor.reason, supervisor.session, PROTOCOL, *bare), separators=SPACED)
 
     @property
     def _gateway_values(self) -> dict[str, object]:
         return {**self.supervisor.inputs.status.counters, **self._values}
 
-    def report(self, connection: str, refused: Mapping[str, int], stamp: int) -> LinkReport:
+    def state_report(self, connection: str, refused: Mapping[str, int], stamp: int) -> LinkReport:
         """Return the report on `link`; `refused`: how often inputs were refused, by reason."""
         supervisor, status = self.supervisor, self.supervisor.inputs.status
         reply = status.reply_us

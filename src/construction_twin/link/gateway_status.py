@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import AfterValidator, BaseModel, ConfigDict, FailFast, Field, ValidationError, ValidationInfo
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.sentences import LONGEST, Sentence, heard
+from construction_twin.core.sentences import LONGEST, Sentence, sentences_of
 from construction_twin.gateway.tool_switches import MOST_REPORTED
 from construction_twin.mqtt.messages import FIRST_PROTOCOL, OFFLINE, PLC, READY, RSI, is_short_text, parse_object
 
@@ -124,7 +124,7 @@ class GatewayStatus(_Part):
         """True when it is armed for its `session`, or follows it."""
         return self.state in ("armed", "following")
 
-    def shown(self) -> dict[str, str]:
+    def text_values(self) -> dict[str, str]:
         """Return what was told beside the counters: ``{"playout_delay_ms": "20", "intruder_session": "", ...}``."""
         values = {name: _text(getattr(self, name)) for name in _SINGLE if name in self.model_fields_set}
         for group in _GROUPS:
@@ -154,7 +154,7 @@ _Model = TypeVar("_Model", GatewayStatus, GatewayAnswer)
 def read(kind: type[_Model], document: Mapping[str, Any]) -> _Model:
     """Return a status or an answer; PayloadError (``status``) when it is not as the interface says."""
     said = document.get("said")
-    known = heard(said) if isinstance(said, dict) and len(said) <= _MOST_SAID else {}
+    known = sentences_of(said) if isinstance(said, dict) and len(said) <= _MOST_SAID else {}
     try:
         # what its message holds of its kind does not count
         return kind.model_validate({**document, "kind": RSI}, context=known)

@@ -144,7 +144,7 @@ class LinkObservations(ArmAndStream):
         self._other_runs: dict[str, int] = {}
         # the number in the last status without a fault, in its run; and what was stopped since, in the newest run that told it
         self._clear: tuple[str, int] = ("", 0)
-        self._stopped_in, self._stop_told = "", ""
+        self._stopped_in, self._stop_reason = "", ""
 
     # -- what comes in
 
@@ -162,10 +162,10 @@ class LinkObservations(ArmAndStream):
         """
         problem = self.why_not_believed(status, now)
         if status.kind != PLC:
-            self._note_run(status.run, status.state != OFFLINE and bool(problem), now)
+            self._record_run(status.run, status.state != OFFLINE and bool(problem), now)
         if not problem:
             self.status, self._status_at = status, now
-            self._note_stop()
+            self._record_stop()
         return problem
 
     def why_not_believed(self, status: GatewayStatus, now: int) -> str:
@@ -191,13 +191,13 @@ class LinkObservations(ArmAndStream):
             return Sentence("an old status, of stop {number} after stop {known}", **numbers)
         return ""
 
-    def _note_run(self, run: str, speaks: bool, now: int) -> None:
-        heard = {other: at for other, at in self._other_runs.items() if other != run and now - at <= STATUS_TIMEOUT}
-        if speaks and run != self.status.run and len(heard) < OTHER_RUNS:
-            heard[run] = now
-        self._other_runs = heard
+    def _record_run(self, run: str, speaks: bool, now: int) -> None:
+        received = {other: at for other, at in self._other_runs.items() if other != run and now - at <= STATUS_TIMEOUT}
+        if speaks and run != self.status.run and len(received) < OTHER_RUNS:
+            received[run] = now
+        self._other_runs = received
 
-    def _note_stop(self) -> None:
+    def _record_stop(self) -> None:
         status = self.status
         run, number = status.run, status.fault_number
         if not run or number is None or status.state == OFFLINE:
@@ -208,21 +208,21 @@ class LinkObservations(ArmAndStream):
                 self._stopped_in = ""
         elif status.has_failed or (number and (run, number) != self._clear):
             # a program that ends stops too, which gets no number; one that has failed may not have got as far as one
-            self._stopped_in, self._stop_told = run, status.reason
+            self._stopped_in, self._stop_reason = run, status.reason
 
     def forget_stop(self) -> None:
         """The link is armed: whatever was stopped before, a person has asked for that."""
         self._stopped_in = ""
 
     @property
-    def stop_told(self) -> str:
+    def stop_reason(self) -> str:
         """Why the gateway was stopped in the newest run that told it, if nobody has reset it; else ""."""
-        return self._stop_told if self._stopped_in else ""
+        return self._stop_reason if self._stopped_in else ""
 
     @property
     def stopped_before(self) -> str:
         """Why a former run of the gateway was stopped, if nobody has reset it: a run that begins anew forgets it; else ""."""
-        return self._stop_told if self._stopped_in not in ("", self.status.run) else ""
+        return self._stop_reason if self._stopped_in not in ("", self.status.run) else ""
 
     @property
     def could_go_on(self) -> bool:
@@ -251,7 +251,7 @@ class LinkObservations(ArmAndStream):
             return LinkState.GATEWAY_OFFLINE, Sentence(
                 "no gateway answers on the broker; start rsi_gateway on the cell PC"
             )
-        others = sorted(run for run, heard in self._other_runs.items() if now - heard <= STATUS_TIMEOUT)
+        others = sorted(run for run, received in self._other_runs.items() if now - received <= STATUS_TIMEOUT)
         if others:
             runs = " and ".join(f"run {run}" if run else "one without a run" for run in sorted([status.run, *others]))
             return LinkState.MISMATCH, Sentence(

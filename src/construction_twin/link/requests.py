@@ -60,7 +60,7 @@ Reason = Annotated[str, StringConstraints(max_length=500), AfterValidator(_print
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 #: Of the limits; 0: the planner's default.
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
-Seen = Annotated[Moment, PlainValidator(parse_moment)]
+ParsedMoment = Annotated[Moment, PlainValidator(parse_moment)]
 #: JSON has lists only.
 Vector = Annotated[
     tuple[Number, ...], BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value)
@@ -233,7 +233,7 @@ class AnswerRequest(Request):
     task: Id
     question: Annotated[str, StringConstraints(min_length=1, max_length=2000)]
     answer: Id
-    moment: Seen
+    moment: ParsedMoment
 
 
 class Acknowledgement(Request):
@@ -243,26 +243,26 @@ class Acknowledgement(Request):
     message: Id
 
 
-class Pressed(Request):
+class ButtonPress(Request):
     """A message on `stop/<account>` or `pause/<account>`. A moment in it is not read: it must not be lost by that."""
 
     id: Annotated[Id, AfterValidator(_not_blank)]
     moment: Annotated[str, PlainValidator(lambda _: "")] = ""
 
 
-class PressedAsSeen(Pressed):
+class StampedButtonPress(ButtonPress):
     """A message on `resume/<account>`, `reset/<account>` or `arm/<account>`."""
 
     moment: Annotated[str, PlainValidator(lambda value: str(parse_moment(value)))] = Field("", validate_default=True)
 
 
-class LowerSpeed(Pressed):
+class LowerSpeed(ButtonPress):
     """A message on `lower_speed/<account>`."""
 
     limit: Annotated[Number, Field(ge=LEAST_SPEED, le=1.0)]
 
 
-class RaiseSpeed(PressedAsSeen):
+class RaiseSpeed(StampedButtonPress):
     """A message on `raise_speed/<account>`."""
 
     limit: Annotated[Number, Field(ge=LEAST_SPEED, le=1.0)]
@@ -310,7 +310,7 @@ class WayBack(Request):
 
     id: Id
     kind: str
-    moment: Seen = Field("", validate_default=True)
+    moment: ParsedMoment = Field("", validate_default=True)
 
 
 class _Scaled(WayBack):

@@ -24,7 +24,7 @@ from construction_twin.link.observations import SHOWN_AFTER
 from construction_twin.link.requests import LEAST_SPEED
 
 #: Largest file that is read, and the least that it has [bytes].
-MOST, ROOM = 1 << 16, 4096
+MAX_BYTES, MIN_BYTES = 1 << 16, 4096
 #: Nobody has set one; and what counts where what people had set is not known: a restart raises nothing.
 NOBODY, UNKNOWN = SpeedChange("", 1.0, 1.0, ""), SpeedChange("", LEAST_SPEED, 1.0, "")
 #: Keys of the file, in the order of the record.
@@ -42,7 +42,7 @@ def read_people(path: Path) -> tuple[SpeedChange, str]:
         path.parent.mkdir(parents=True, exist_ok=True)
         is_first = not mark.exists() and not path.exists()
         mark.touch()
-        people = NOBODY if is_first else _people(json.loads(read_file(path, MOST)))
+        people = NOBODY if is_first else _people(json.loads(read_file(path, MAX_BYTES)))
     except (OSError, ValueError, TypeError, KeyError) as error:
         return UNKNOWN, f"{path}: {error}"[:200]
     problem = write_people(path, people)
@@ -60,7 +60,7 @@ def _people(found: Mapping[str, Any]) -> SpeedChange:
 def write_people(path: Path, people: SpeedChange) -> str:
     """Write it; return why that was not possible, "" when it was. What could not be written is not known after a restart."""
     try:
-        write_in_place(path, json.dumps(dict(zip(_KEYS, astuple(people)))) + "\n", ROOM)
+        write_in_place(path, json.dumps(dict(zip(_KEYS, astuple(people)))) + "\n", MIN_BYTES)
     except OSError as error:
         with contextlib.suppress(OSError):
             path.unlink()
@@ -81,15 +81,15 @@ class SpeedLimits:
     """
 
     def __init__(self, program: SpeedLimit, people: SpeedChange, started: Moment, problem: str = ""):
-        self.program, self.people, self.problem = program, people, problem
+        self.program, self.people, self.fault = program, people, problem
         self._lowered = started
 
     def set(self, limit: float, person: str, moment: str, now: Moment, at: int) -> str:
-        """Take the limit that a person sets; return the sentence of the answer. Arguments and errors are of `asked`."""
-        before, self.people = self.people, self.asked(limit, person, moment, now, at)
+        """Take the limit that a person sets; return the sentence of the answer. Arguments and errors are of `requested_change`."""
+        before, self.people = self.people, self.requested_change(limit, person, moment, now, at)
         if self.people is before:
             return Sentence("the speed limit of people is {percent:.0f}% already", percent=100 * limit)
-        self.problem = ""
+        self.fault = ""
         if limit <= before.limit:
             self._lowered = replace(now, at=now.at + SHOWN_AFTER)
         whose, was, now_is = before.person or Sentence("nobody"), 100 * before.limit, 100 * limit
@@ -102,7 +102,7 @@ class SpeedLimits:
             "the speed limit of people is lowered to {percent:.0f}%; {former}", percent=now_is, former=former
         )
 
-    def asked(self, limit: float, person: str, moment: str, now: Moment, at: int) -> SpeedChange:
+    def requested_change(self, limit: float, person: str, moment: str, now: Moment, at: int) -> SpeedChange:
         """Return what `set` would make the limit of people at the ROS time `at` [ns]; a moment only raises it, none only lowers it.
 
         Raises:
@@ -114,7 +114,7 @@ class SpeedLimits:
         if not person.strip():
             raise PayloadError("person", Sentence("a speed limit of people needs the name of who sets it"))
         before = self.people
-        if limit == before.limit and not self.problem:
+        if limit == before.limit and not self.fault:
             return before
         if not moment and limit > before.limit:
             raise PayloadError(
@@ -131,14 +131,14 @@ class SpeedLimits:
                 ),
             )
         if moment:
-            seen = parse_moment(moment)
-            if problem := staleness(seen, now):
+            shown_at = parse_moment(moment)
+            if problem := staleness(shown_at, now):
                 raise ExpiredError(Sentence("the raise of the speed limit is {problem}", problem=problem))
-            if not is_newer(seen, self._lowered):
+            if not is_newer(shown_at, self._lowered):
                 raise ExpiredError(Sentence("the raise of the speed limit is void: it was lowered since; ask anew"))
         return SpeedChange(person, limit, before.limit, before.person, at)
 
-    def report(self, now: int) -> SpeedReport | None:
+    def state_report(self, now: int) -> SpeedReport | None:
         """Return what is in force at `now` [ns, monotonic]; None before anybody has set a limit: nothing is to be repeated then."""
         program, people = self.program, self.people
         allowed = program.update(now)
@@ -153,11 +153,11 @@ class SpeedLimits:
             # nobody was heard, and one is required: what the executor does of itself holds beside a person's limit, too
             asks = program.state is not LimitState.UNLIMITED
             reason = program.reason if asks else Sentence("nobody limits the speed")
-        elif self.problem:
+        elif self.fault:
             reason = Sentence(
                 "speed limit {percent:.0f}%: what people had set could not be read ({problem}); set it anew",
                 percent=100 * people.limit,
-                problem=self.problem,
+                problem=self.fault,
             )
         set_by_people = people.limit, people.person, people.stamp, people.before, people.whose
         return SpeedReport(limit, by, reason, *set_by_people, program=allowed, program_name=program.name)

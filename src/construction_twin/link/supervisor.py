@@ -59,14 +59,14 @@ class LinkSupervisor:
         self._was_armed = False
         # a person asked for a session: it has not begun; it is the present one
         self._reset_wanted = False
-        self._asked_for = False
+        self._session_requested = False
         # run and number of the gateway's last stop, as they were known when a person asked: nothing newer is cleared
-        self._shown: tuple[str, int | None] = ("", None)
+        self._stop_at_request: tuple[str, int | None] = ("", None)
         self._arm_refused = False
         # why only a person leads on: `halt` was called, or what a person asked for has failed
-        self._halted: str | None = waits or None
+        self._halt_reason: str | None = waits or None
         # the same of the process before this one; and that a person's request was under way
-        self._found, self._under_way = bool(waits), ""
+        self._waited_before, self._under_way = bool(waits), ""
         self.halts = self.requests = 0
         # what a failed request has sent may still arrive at the gateway; the session of that request
         self.withdraws = False
@@ -90,11 +90,11 @@ class LinkSupervisor:
         """
         if not self.sends_control:
             return ""
-        if self._halted or not self.inputs.stop_told:
-            return self._halted or self._under_way
+        if self._halt_reason or not self.inputs.stop_reason:
+            return self._halt_reason or self._under_way
         return Sentence(
             "gateway was stopped before this bridge was started again ({reason}); call reset",
-            reason=self.inputs.stop_told,
+            reason=self.inputs.stop_reason,
         )
 
     @property
@@ -127,7 +127,7 @@ class LinkSupervisor:
             if self.inputs.status.mode == "commissioning":
                 # the link is armed, and yet the arm stands still
                 armed = Sentence("session {session}; gateway is in commissioning mode", session=self.session)
-            self._go(LinkState.ARMED, armed)
+            self._enter(LinkState.ARMED, armed)
         elif verb == "stop":
             self.withdraws = False
 
@@ -153,7 +153,7 @@ class LinkSupervisor:
         raise ReviewError(Sentence("cannot arm: {why}", why=self.reason))
 
     def _want_session(self) -> None:
-        self._reset_wanted, self._shown = True, self.known_stop
+        self._reset_wanted, self._stop_at_request = True, self.known_stop
         self.requests += 1
 
     def withdraw(self, request: int, reason: str) -> None:
@@ -164,17 +164,17 @@ class LinkSupervisor:
         """
         if request != self.requests:
             return
-        self._reset_wanted = self._asked_for = False
+        self._reset_wanted = self._session_requested = False
         # what it waits for a person for already is the better reason
-        if self._halted is not None:
+        if self._halt_reason is not None:
             return
-        self._halted = reason if reason.endswith(_CALL_RESET) else Sentence("{reason}; call reset", reason=reason)
+        self._halt_reason = reason if reason.endswith(_CALL_RESET) else Sentence("{reason}; call reset", reason=reason)
         if self.mirrors:
             return
         # a fault at the gateway outlasts this process, and the reason that it tells is the better one
         self.withdraws = self._unanswered or not self.inputs.status.fault
         self._withdrawn_session, self._pending = self.session, None
-        self._go(LinkState.NEEDS_RESET, self._halted)
+        self._enter(LinkState.NEEDS_RESET, self._halt_reason)
 
     def begin_mirror(self, now: int) -> str:
         """Let the arm lead, for a person: nothing is commanded until `end_mirror`. Return a sentence, or raise ReviewError."""
@@ -189,8 +189,8 @@ class LinkSupervisor:
         # a new session without a right to command: executor and gate start over, and what was recorded of the old one is void; it
         # neither tells the gateway of a request that failed, nor ends the waiting for a person
         self.mirrors, self._ended_session, self.session = True, self.session, self._new_id()
-        self._pending, self._reset_wanted, self._asked_for = None, False, False
-        self._go(LinkState.MIRROR, _mirror_sentence(self.inputs))
+        self._pending, self._reset_wanted, self._session_requested = None, False, False
+        self._enter(LinkState.MIRROR, _mirror_sentence(self.inputs))
         return self.reason
 
     def end_mirror(self, now: int) -> str:
@@ -219,9 +219,9 @@ class LinkSupervisor:
         """Stop forwarding commands until a person calls `reset`; used after a stop was sent to the gateway."""
         self.halts += 1
         self.mirrors = False
-        self._halted, self._pending = reason, None
-        self._reset_wanted = self._asked_for = False
-        self._go(LinkState.NEEDS_RESET, reason)
+        self._halt_reason, self._pending = reason, None
+        self._reset_wanted = self._session_requested = False
+        self._enter(LinkState.NEEDS_RESET, reason)
 
     # -- decisions
 
@@ -230,59 +230,59 @@ class LinkSupervisor:
         missing = self.inputs.obstacle(now, self.mirrors)
         if missing is not None:
             self._pending, self._reset_wanted = None, False
-            self._go(*missing)
+            self._enter(*missing)
             return None
         self._outgoing = None
         if self._reset_wanted:
             self._reset_wanted = False
             self._begin_session(Sentence("reset asked for"))
-            self._asked_for = True
+            self._session_requested = True
             self._under_way = Sentence("the bridge was started again while a reset was under way; call reset")
-        self._judge(now)
-        self._take_turn(now)
+        self._update_state(now)
+        self._choose_message(now)
         return self._outgoing
 
-    def _go(self, state: LinkState, reason: str) -> None:
+    def _enter(self, state: LinkState, reason: str) -> None:
         self.state, self.reason = state, reason
 
-    def _judge(self, now: int) -> None:
+    def _update_state(self, now: int) -> None:
         """Decide which side may command: broker, gateway and arm are there."""
         known = self.inputs
         if self.mirrors:
-            self._go(LinkState.MIRROR, _mirror_sentence(self.inputs))
+            self._enter(LinkState.MIRROR, _mirror_sentence(self.inputs))
         elif self.state is LinkState.ARMED:
             # a status sent before the arming was answered still says ready
             recently = now - self._sent_at < RETRY
             # armed is only what shows no fault: this one came later
             if known.status.fault:
-                self._go(LinkState.NEEDS_RESET, _stop_sentence(self.inputs))
+                self._enter(LinkState.NEEDS_RESET, _stop_sentence(self.inputs))
             elif not recently and not known.follows(self.session):
-                self._go(LinkState.NEEDS_RESET, _gateway_sentence(self.inputs))
+                self._enter(LinkState.NEEDS_RESET, _gateway_sentence(self.inputs))
         elif self.state is LinkState.RESYNC:
-            if known.status.fault and not self._asked_for:
-                self._go(LinkState.NEEDS_RESET, _stop_sentence(self.inputs))
-            elif self._asked_for and self._shown != self.known_stop:
+            if known.status.fault and not self._session_requested:
+                self._enter(LinkState.NEEDS_RESET, _stop_sentence(self.inputs))
+            elif self._session_requested and self._stop_at_request != self.known_stop:
                 self._void_request()
-        elif self._halted is not None:
+        elif self._halt_reason is not None:
             # what the gateway still knows it tells better than the process before this one
-            told = _stop_sentence(self.inputs) if self._found and known.status.fault else self._halted
-            self._go(LinkState.NEEDS_RESET, told)
+            reason = _stop_sentence(self.inputs) if self._waited_before and known.status.fault else self._halt_reason
+            self._enter(LinkState.NEEDS_RESET, reason)
         elif known.status.fault:
-            self._go(LinkState.NEEDS_RESET, _stop_sentence(self.inputs))
+            self._enter(LinkState.NEEDS_RESET, _stop_sentence(self.inputs))
         elif known.stopped_before:
             values = {"reason": known.stopped_before, "state": known.status.state}
             stopped = Sentence("gateway was stopped before it was started again ({reason}), and is {state}", **values)
-            self._go(LinkState.NEEDS_RESET, _with_remedy(self.inputs, stopped))
+            self._enter(LinkState.NEEDS_RESET, _with_remedy(self.inputs, stopped))
         elif not self._was_armed and known.status.state == "ready":
             self._begin_session(Sentence("first session"))
         elif known.could_go_on and known.within_tolerance(now) and known.at_rest(now):
             # nothing could jump
             self._begin_session(Sentence("the link is back and the poses agree within the start tolerance"))
         elif self.state is not LinkState.NEEDS_RESET:
-            self._go(LinkState.NEEDS_RESET, Sentence("{reason}; call reset", reason=_gateway_sentence(self.inputs)))
+            self._enter(LinkState.NEEDS_RESET, Sentence("{reason}; call reset", reason=_gateway_sentence(self.inputs)))
 
-    def _take_turn(self, now: int) -> None:
-        """Decide which control message comes next."""
+    def _choose_message(self, now: int) -> None:
+        """Choose the next control message."""
         known = self.inputs
         if self._pending is not None and now - self._sent_at < RETRY:
             return
@@ -300,37 +300,37 @@ class LinkSupervisor:
                 return
             elif self._arm_refused:
                 # a session that was armed and whose answer was lost cannot be armed again
-                asked_for = self._asked_for
+                asked_for = self._session_requested
                 self._begin_session(Sentence("another session, because {reason}", reason=self.reason))
-                self._asked_for = asked_for
+                self._session_requested = asked_for
             else:
                 self._send("arm", self.session, now, arm_value(self._hash, self.inputs.status.run))
 
     def _begin_session(self, reason: str) -> None:
         self.session = self._new_id()
-        self._pending, self._halted, self._asked_for, self._found = None, None, False, False
+        self._pending, self._halt_reason, self._session_requested, self._waited_before = None, None, False, False
         self._arm_refused = self.withdraws = False
         self.inputs.forget_command()
-        self._go(LinkState.RESYNC, reason)
+        self._enter(LinkState.RESYNC, reason)
 
     def _void_request(self) -> None:
         self.withdraws = self._unanswered and not self.inputs.status.fault
         self._withdrawn_session = self.session
-        self._pending, self._asked_for = None, False
-        run, _ = self._shown
+        self._pending, self._session_requested = None, False
+        run, _ = self._stop_at_request
         if run != self.inputs.status.run:
-            self._halted = Sentence("gateway was started again since the call; call reset")
+            self._halt_reason = Sentence("gateway was started again since the call; call reset")
         else:
             number, reason = str(self.inputs.status.fault_number), self.inputs.status.reason
-            self._halted = _with_remedy(
+            self._halt_reason = _with_remedy(
                 self.inputs,
                 Sentence("gateway was stopped since the call (stop {number}): {reason}", number=number, reason=reason),
             )
-        self._go(LinkState.NEEDS_RESET, self._halted)
+        self._enter(LinkState.NEEDS_RESET, self._halt_reason)
 
     def _send_reset(self, session: str, now: int) -> None:
         # without a request there is no fault in the newest status, and so none that its number would clear
-        run, number = self._shown if self._asked_for else self.known_stop
+        run, number = self._stop_at_request if self._session_requested else self.known_stop
         assert number is not None  # without a number the link is a mismatch
         self._send("reset", session, now, reset_value(run, number))
 

@@ -38,7 +38,7 @@ class ToolLink:
             self._refused = Sentence("tool: switch {id} was asked for before", id=repr(id))
             return None
         if obstacle:
-            self._report(id, SwitchState.REFUSED, Sentence("tool: {why}", why=obstacle))
+            self._record_switch(id, SwitchState.REFUSED, Sentence("tool: {why}", why=obstacle))
             return None
         asked = {"id": id, "output": output, "value": value, "stamp": stamp}
         control = Control(self._new_id(), session, "switch", asked)
@@ -73,27 +73,27 @@ class ToolLink:
         if answer.ok:
             self._refused = ""
         state = SwitchState.ARMED if answer.ok else SwitchState.REFUSED
-        self._report(self._by_control.pop(answer.id), state, cut(answer.reason))
+        self._record_switch(self._by_control.pop(answer.id), state, cut(answer.reason))
 
     def on_status(self, status: GatewayStatus) -> None:
         """Take the gateway's status."""
         if status.run and status.run != self._run:
             if self._run:
-                self._lose(Sentence("the gateway was started again: whether it fired is not known"))
+                self._refuse_waiting(Sentence("the gateway was started again: whether it fired is not known"))
             self._run = status.run
         if status.session and status.session != self._session:
             self._session, self._refused = status.session, ""
         self._status = tool_report(status)
         for id, switch in self._status.switches.items():
-            self._report(id, switch.state, switch.reason)
+            self._record_switch(id, switch.state, switch.reason)
 
-    def _lose(self, why: str) -> None:
+    def _refuse_waiting(self, why: str) -> None:
         # not void: that would say that it has not fired, and may be asked for again
         for id in sorted(self.waiting):
-            self._report(id, SwitchState.REFUSED, why)
+            self._record_switch(id, SwitchState.REFUSED, why)
         self._by_control.clear()
 
-    def _report(self, id: str, state: SwitchState, reason: str) -> None:
+    def _record_switch(self, id: str, state: SwitchState, reason: str) -> None:
         known = self._switches.get(id)
         if known is not None and known.state is not SwitchState.ARMED:
             # final: an older message cannot take it back
@@ -106,7 +106,7 @@ class ToolLink:
 
     # -- to ROS
 
-    def report(self, obstacle: str) -> ToolReport:
+    def state_report(self, obstacle: str) -> ToolReport:
         """Return what `tool` tells; `obstacle`: why the gateway's status says nothing of the present."""
         status = self._status
         switches = dict(self._switches)

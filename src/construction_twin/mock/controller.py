@@ -35,19 +35,19 @@ ForwardKinematics = Callable[[tuple[float, ...]], tuple[Sequence[float], Sequenc
 
 
 class ReplyRefusals:
-    """The refused replies of a controller: told when that begins and when it ends.
+    """The refused replies of a controller: logged when that begins and when it ends.
 
     Attributes:
         last: Why the last one did not count; "" before the first.
         present: The same; "" when so many have counted since that it is over.
         since_valid: The same, of those since the last reply that counted.
-        news: Sentences for the log, which whoever writes them removes.
+        log_lines: Sentences for the log, which whoever writes them removes.
     """
 
     def __init__(self, recovery: int) -> None:
         self._recovery = recovery
         self.last = ""
-        self.news: list[str] = []
+        self.log_lines: list[str] = []
         self.begin_session()
 
     def begin_session(self) -> None:
@@ -56,23 +56,25 @@ class ReplyRefusals:
         self._reported: set[str] = set()
         self._refused = self._valid = 0
 
-    def refuse(self, kind: str, sentence: str) -> None:
-        """Note a reply that does not count; the first of its kind is told at once."""
+    def on_refused(self, kind: str, sentence: str) -> None:
+        """Count a reply that is refused; the first of its kind is logged at once."""
         self.last = self.present = self.since_valid = sentence
         self._refused += 1
         self._valid = 0
         if kind not in self._reported:
             self._reported.add(kind)
-            self.news.append(f"reply refused: {sentence}")
+            self.log_lines.append(f"reply refused: {sentence}")
 
-    def accept(self) -> None:
-        """Note a reply that counts."""
+    def on_valid(self) -> None:
+        """Count a valid reply."""
         if not self.present:
             return
         self.since_valid = ""
         self._valid += 1
         if self._valid >= self._recovery:
-            self.news.append(f"replies count again; {self._refused} were refused, the last one because {self.last}")
+            self.log_lines.append(
+                f"replies count again; {self._refused} were refused, the last one because {self.last}"
+            )
             self.begin_session()
 
 
@@ -84,11 +86,11 @@ class MockController:
         flag: The controller's own flag that the link was interrupted (timeout).
         stamp: Of the last packet [ms].
         start_pose, setpoint, measured: Length n. Programmed pose of the session, present setpoint, measured axes [rad].
-        reported, true: Length n. What the last packet reports of the axes, and where they really are, which only a fault of an
-            encoder tells apart [rad].
+        reported, true_position: Length n. What the last packet reports of the axes, and where they really are, which only faults of
+            encoders tell apart [rad].
         applied: Length n. Correction in effect, after clamping [rad].
         correction_lower, correction_upper: Length n. Bounds in force in this session [rad].
-        pressed, deaf: The emergency stop is pressed, which to release starts nothing; replies are ignored.
+        emergency_pressed, ignores_replies: The emergency stop is pressed, which to release starts nothing; replies are ignored.
         needs_person: True after an emergency stop: a session is started by a person only.
         ramp: The last emergency stop's, until the next session.
         tool: What the channels of a tool switch and read; None where the layout has none.
@@ -102,7 +104,7 @@ class MockController:
     )
 
     def __init__(self, config: MockConfig, servo: Servo, forward_kinematics: ForwardKinematics):
-        self.pressed = self.needs_person = self.deaf = False
+        self.emergency_pressed = self.needs_person = self.ignores_replies = False
         self.ramp: EmergencyBrake | None = None
         self.program: Program | None = None
         self._tool_limit: ToolSpeedLimit | None = None
@@ -147,7 +149,7 @@ class MockController:
         return self.servo.measured
 
     @property
-    def true(self) -> tuple[float, ...]:
+    def true_position(self) -> tuple[float, ...]:
         """Where the axes really are [rad], shape (n,)."""
         return tuple([angle - slip for angle, slip in zip(self.measured, self.encoders.slip)])
 
@@ -162,7 +164,7 @@ class MockController:
 
     def restart(self, pose: Sequence[float] | None = None) -> None:
         """Start a new session at a pose [rad] within the soft limits, by default what the encoders report."""
-        if self.pressed:
+        if self.emergency_pressed:
             expected = "a released one: inject `estop` with `on` false"
             raise ConfigurationError("restart", "the emergency stop is pressed", expected)
         if pose is None:
@@ -200,7 +202,7 @@ class MockController:
         """Take a datagram in the open cycle, `in_time` or too late; return whether it is the reply: all else is counted."""
         if not self.running or self._decode is None:
             return self._count("unexpected")
-        if self.deaf:
+        if self.ignores_replies:
             return self._count("ignored")
         try:
             telegram = self._decode(data)
@@ -222,7 +224,7 @@ class MockController:
             return self._count("duplicates")
         self._reply = telegram
         self.counters["replies"] += 1
-        self.refusals.accept()
+        self.refusals.on_valid()
         return True
 
     def _stamp_after(self, time: int) -> int:
@@ -232,7 +234,7 @@ class MockController:
 
     def press_emergency_stop(self) -> None:
         """Brake to rest within the acceleration limits and end the session; packets cease at once."""
-        self.pressed = self.needs_person = True
+        self.emergency_pressed = self.needs_person = True
         self.program = None
         if self.running:
             begin = self.setpoint, self._last_step
@@ -242,7 +244,7 @@ class MockController:
     def limit_tool_speed(self, speed: float) -> None:
         """Select T1: the tool moves no faster than `speed` [m/s]."""
         self._tool_speed = speed
-        self._tool_limit = self._make_tool_limit(self.setpoint, self._last_step)
+        self._tool_limit = self._build_tool_limit(self.setpoint, self._last_step)
 
     def lift_tool_speed(self) -> None:
         """Select another mode: the arm catches up within its limits."""
@@ -252,7 +254,7 @@ class MockController:
 
     def run_program(self, goal: Sequence[float], duration: float = 0.0) -> None:
         """Move to a pose [rad], with the present corrections; without a duration [s] at `JOG_FRACTION` of the limits."""
-        if self.pressed or self.ramp is not None and not self.ramp.done:
+        if self.emergency_pressed or self.ramp is not None and not self.ramp.done:
             raise ConfigurationError("jog", tuple(goal), "an arm at rest whose emergency stop is not pressed")
         self._check_range(goal)
         if not self.running:
@@ -262,7 +264,7 @@ class MockController:
         limits = self.config.velocity, self.config.acceleration
         self.program = Program(self.start_pose, target, *limits, duration, self._period)
 
-    def _make_tool_limit(self, position: Sequence[float], step: Sequence[float]) -> ToolSpeedLimit:
+    def _build_tool_limit(self, position: Sequence[float], step: Sequence[float]) -> ToolSpeedLimit:
         return ToolSpeedLimit(
             position,
             step,
@@ -317,7 +319,7 @@ class MockController:
         self.ramp = self.program = self._tool_limit = None
         self.needs_person = False
         if self._tool_speed:
-            self._tool_limit = self._make_tool_limit(pose, self._zero)
+            self._tool_limit = self._build_tool_limit(pose, self._zero)
 
     def _check_range(self, pose: Sequence[float]) -> None:
         config = self.config
@@ -352,7 +354,7 @@ class MockController:
         self.counters["missed"] += 1
         self.missed += 1
         if self.tool is not None:
-            self.tool.miss()
+            self.tool.on_missed_reply()
         if self.missed >= self.config.timeout:
             self.flag = True
             refused = self.refusals.since_valid
@@ -364,7 +366,7 @@ class MockController:
     def _valid_reply(self, reply: Reply) -> tuple[float, ...]:
         self.missed = 0
         if self.tool is not None:
-            self.tool.take(reply.switched)
+            self.tool.on_reply(reply.switched)
         self.counters["without_stop"] += reply.stop is None and self._stop_declared
         stop = bool(reply.stop)
         if stop and not self._stop_level:
@@ -410,7 +412,7 @@ class MockController:
         return False
 
     def _refuse(self, counter: str, kind: str, sentence: str) -> bool:
-        self.refusals.refuse(kind, sentence)
+        self.refusals.on_refused(kind, sentence)
         return self._count(counter)
 
 

@@ -18,7 +18,7 @@ from construction_twin.mock.own_motion import T1_SPEED
 from construction_twin.robot.motion_errors import JointRangeError
 
 
-class Underway(NamedTuple):
+class DatagramInFlight(NamedTuple):
     """A datagram that arrives when it is `due` [ns]; a tuple, which the heap sorts by time, then by the order of sending."""
 
     due: int
@@ -39,7 +39,7 @@ class ImpairedLine:
         self.drop = self.duplicate = 0.0
         self.delay = self.jitter = 0
         self._order = itertools.count()
-        self._queue: list[Underway] = []
+        self._queue: list[DatagramInFlight] = []
         self.dropped = self.doubled = self.delayed = 0
 
     @property
@@ -47,8 +47,8 @@ class ImpairedLine:
         """Whether datagrams must come here; delayed ones are still delivered after the fault has ended."""
         return bool(self.drop or self.duplicate or self.delay or self.jitter or self._queue)
 
-    def put(self, data: bytes, now: int) -> None:
-        """Take a datagram that sets out at `now` [ns]."""
+    def send(self, data: bytes, now: int) -> None:
+        """Send a datagram at `now` [ns]."""
         if self.drop and self._random.random() < self.drop:
             self.dropped += 1
             return
@@ -57,9 +57,9 @@ class ImpairedLine:
         self.delayed += bool(self.delay or self.jitter)
         for _ in range(1 + twice):
             due = now + self.delay + round(self._random.random() * self.jitter)
-            heapq.heappush(self._queue, Underway(due, next(self._order), data))
+            heapq.heappush(self._queue, DatagramInFlight(due, next(self._order), data))
 
-    def take(self, now: int) -> list[Underway]:
+    def pop_arrived(self, now: int) -> list[DatagramInFlight]:
         """Return what has arrived by `now` [ns], in the order of arrival."""
         arrived = []
         while self._queue and self._queue[0].due <= now:
@@ -253,8 +253,11 @@ class FaultBoard:
             return self._grip(fault)
         controller, values = self.controller, fault.values
         actions: dict[str, _OnOff] = {
-            "estop": (controller.press_emergency_stop, partial(setattr, controller, "pressed", False)),
-            "rsi_timeout": (partial(setattr, controller, "deaf", True), partial(setattr, controller, "deaf", False)),
+            "estop": (controller.press_emergency_stop, partial(setattr, controller, "emergency_pressed", False)),
+            "rsi_timeout": (
+                partial(setattr, controller, "ignores_replies", True),
+                partial(setattr, controller, "ignores_replies", False),
+            ),
             "t1": (lambda: controller.limit_tool_speed(values[0] if values else T1_SPEED), controller.lift_tool_speed),
             "restart": (controller.restart, _nothing),
             "restart_at": (lambda: controller.restart(values), _nothing),

@@ -56,17 +56,17 @@ class SimulatedTool:
         self._channels = (False,) * len(self._names)
         self._edges: dict[str, bool | None] = {}
 
-    def take(self, switched: tuple[bool, ...]) -> None:
-        """Take the channels of a valid reply."""
+    def on_reply(self, switched: tuple[bool, ...]) -> None:
+        """Switch the outputs by the channels of a valid reply."""
         self._channels = switched
-        self._map()
+        self._switch_outputs()
 
-    def miss(self) -> None:
-        """Take a missed reply: HOLDON decides."""
+    def on_missed_reply(self) -> None:
+        """Switch the outputs at a missed reply: HOLDON decides."""
         self._channels = tuple([value and held for value, held in zip(self._channels, self._holdon)])
-        self._map()
+        self._switch_outputs()
 
-    def _map(self) -> None:
+    def _switch_outputs(self) -> None:
         values = dict(zip(self._names, self._channels))
         enabled = values.pop(ENABLE, False)
         for name, value in values.items():

@@ -19,7 +19,7 @@ from queue import Empty, SimpleQueue
 from typing import TypeVar
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.udp import ask_for_stamps, receive
+from construction_twin.core.udp import enable_timestamps, receive
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import FaultBoard
@@ -32,8 +32,8 @@ def steady_offset(wall: Callable[[], int] = time.time_ns, steady: Callable[[], i
     """Return how far the monotonic clock is ahead of the wall clock [ns], from the narrowest of a few readings."""
     readings = []
     for _ in range(_TRIES):
-        begin, seen, end = steady(), wall(), steady()
-        readings.append((end - begin, (begin + end) // 2 - seen))
+        begin, at_wall, end = steady(), wall(), steady()
+        readings.append((end - begin, (begin + end) // 2 - at_wall))
         if end - begin <= _TIGHT:
             break
     return min(readings)[1]
@@ -60,7 +60,7 @@ class MockRsi:
     Attributes:
         overruns, skipped: Packets that left more than half a cycle late; grid points skipped after a stall beyond `CATCH_UP`.
         foreign: Datagrams that did not come from the gateway.
-        left: When the last packet left, on the monotonic clock [ns].
+        sent_at: When the last packet left, on the monotonic clock [ns].
     """
 
     def __init__(
@@ -69,19 +69,19 @@ class MockRsi:
         gateway: tuple[str, int],
         restart_after: float = 0.0,
         observe: Callable[[MockRsi], None] = lambda mock: None,
-        report: Callable[[str], None] = log.info,
+        log_line: Callable[[str], None] = log.info,
         fault_seed: int = 0,
     ):
         self.controller = controller
         self.faults = FaultBoard(controller, fault_seed)
-        self.overruns = self.skipped = self.foreign = self.send_errors = self.left = 0
+        self.overruns = self.skipped = self.foreign = self.send_errors = self.sent_at = 0
         self._gateway = _resolve(*gateway)
         self._cycle = controller.config.cycle * NANOSECONDS // 1000
         #: Shortest distance of two packets [ns].
         self._closest = self._cycle // 2
         self._restart_after = round(restart_after * NANOSECONDS)
         self._observe = observe
-        self._report = report
+        self._log = log_line
         self._requests: SimpleQueue[tuple[Callable[[], object], Future]] = SimpleQueue()
         self._socket, self._stamped = _open_socket()
         #: A reply that arrives later than this is too late for the open cycle [ns].
@@ -113,7 +113,7 @@ class MockRsi:
                 self._follow_session(due)
                 self.faults.tick()
                 packet = self.controller.begin_cycle()
-                self.left = time.monotonic_ns()
+                self.sent_at = time.monotonic_ns()
                 if packet is not None:
                     self._send(packet)
                 sent = time.monotonic_ns()
@@ -121,8 +121,8 @@ class MockRsi:
                 self._ends = max(due, sent + self._closest)
                 self._observe(self)
                 self._receive_until(self._ends)
-                if self.controller.refusals.news:
-                    self._tell_refusals()
+                if self.controller.refusals.log_lines:
+                    self._log_refusals()
         finally:
             self._socket.close()
 
@@ -143,7 +143,7 @@ class MockRsi:
         if not controller.running:
             if self._stopped_at is None:
                 self._stopped_at = now
-                self._report(f"{controller.words.protocol} session {controller.session} stopped: {controller.reason}")
+                self._log(f"{controller.words.protocol} session {controller.session} stopped: {controller.reason}")
             answered = controller.counters["replies"] > self._replies
             wait = self._restart_after if answered else min(self._restart_after, _UNANSWERED)
             due = self._restart_after and now - self._stopped_at >= wait
@@ -159,18 +159,18 @@ class MockRsi:
             self._socket, self._stamped = _open_socket()
             before.close()
             begun = f"session {controller.session} started, {controller.words.stamp} {controller.stamp}"
-            self._report(f"{controller.words.protocol} {begun}, gateway {self._gateway}")
+            self._log(f"{controller.words.protocol} {begun}, gateway {self._gateway}")
 
-    def _tell_refusals(self) -> None:
-        news = self.controller.refusals.news
-        for sentence in news:
-            self._report(f"{self.controller.words.protocol} session {self.controller.session}: {sentence}")
-        news.clear()
+    def _log_refusals(self) -> None:
+        lines = self.controller.refusals.log_lines
+        for sentence in lines:
+            self._log(f"{self.controller.words.protocol} session {self.controller.session}: {sentence}")
+        lines.clear()
 
     def _send(self, packet: bytes) -> None:
         line = self.faults.to_pc
         if line.active:
-            line.put(packet, time.monotonic_ns())
+            line.send(packet, time.monotonic_ns())
             self._deliver(time.monotonic_ns())
         else:
             self._put_on_wire(packet)
@@ -218,9 +218,9 @@ class MockRsi:
 
     def _deliver(self, now: int) -> None:
         """Deliver the datagrams whose delay is over."""
-        for underway in self.faults.to_pc.take(now):
+        for underway in self.faults.to_pc.pop_arrived(now):
             self._put_on_wire(underway.data)
-        for underway in self.faults.to_controller.take(now):
+        for underway in self.faults.to_controller.pop_arrived(now):
             self.controller.receive(underway.data, not self._stamped or underway.due <= self._ends)
 
     def _drain(self) -> None:
@@ -235,17 +235,17 @@ class MockRsi:
             now = time.monotonic_ns()
             arrived = min(stamp + steady_offset(), now) if self._stamped else now
             if self.faults.to_controller.active:
-                self.faults.to_controller.put(data, arrived)
+                self.faults.to_controller.send(data, arrived)
             else:
                 self.controller.receive(data, not self._stamped or arrived <= self._ends)
 
 
 def _open_socket() -> tuple[socket.socket, bool]:
     """Return a socket on a port of the system's choice on all addresses, as the controller opens it, and whether it has stamps."""
-    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    made.setblocking(False)
-    made.bind(("", 0))
-    return made, ask_for_stamps(made)
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.setblocking(False)
+    sock.bind(("", 0))
+    return sock, enable_timestamps(sock)
 
 
 def _resolve(host: str, port: int) -> tuple[str, int]:

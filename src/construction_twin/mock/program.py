@@ -18,7 +18,7 @@ from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.controller.port import Layout
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.extensions import check_extras, extension
+from construction_twin.core.extensions import check_extras, import_extension
 from construction_twin.core.realtime import request_realtime
 from construction_twin.core.share import share_file
 from construction_twin.core.units import from_wire, to_wire
@@ -98,7 +98,7 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
         timeout=settings.timeout,
         gripper=_gripper(settings),
     )
-    return MockController(config, build_servo(settings, robot), make_forward_kinematics(robot))
+    return MockController(config, build_servo(settings, robot), build_forward_kinematics(robot))
 
 
 def _gripper(settings: MockSettings) -> Gripper:
@@ -129,13 +129,13 @@ def build_servo(settings: MockSettings, robot: RobotModel) -> Servo:
     period = settings.cycle / 1000
     if settings.servo == "physics":
         check_extras("physics")
-        return extension("physics.mock_servo").physics_servo(settings, robot, period)
+        return import_extension("physics.mock_servo").physics_servo(settings, robot, period)
     if settings.servo == "ideal":
         return IdealServo(SERVO_DELAY_CYCLES, period)
     return RealisticServo(SERVO_OMEGA, SERVO_ZETA, RESOLUTION, period)
 
 
-def make_forward_kinematics(robot: RobotModel) -> ForwardKinematics:
+def build_forward_kinematics(robot: RobotModel) -> ForwardKinematics:
     """Return the function from axis values [rad], [m] to position [m] and A, B, C [rad] of `tip_link` in `base_link`."""
     from construction_twin.kinematics.chain import Chain  # needs PyKDL, which the pure core and its users do not
     from construction_twin.robot.frames import rotation_to_abc

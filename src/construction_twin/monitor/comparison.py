@@ -45,8 +45,8 @@ class LagEstimate:
         """The lag to compare by [ns]: the best that is known so far, 0 at first."""
         return round(self._lag * NANOSECONDS)
 
-    def learn(self, difference: tuple[float, ...], velocity: tuple[float, ...]) -> None:
-        """Take one sample in motion: physical pose minus the twin's at the present estimate [rad], and its velocity [rad/s]."""
+    def add_sample(self, difference: tuple[float, ...], velocity: tuple[float, ...]) -> None:
+        """Add one sample in motion: physical pose minus the twin's at the present estimate [rad], and its velocity [rad/s]."""
         power = sum(v * v for v in velocity)
         if power < SLOWEST * SLOWEST:
             return
@@ -222,7 +222,7 @@ class PoseComparison:
         self.last = Comparison(now, mode, virtual, q, threshold, round_trip, lag.seconds)
         if self.last.agrees:
             # what disagrees is not lag
-            lag.learn(tuple(p - v for p, v in zip(q, virtual)), velocity)
+            lag.add_sample(tuple(p - v for p, v in zip(q, virtual)), velocity)
         return self.last
 
     def _reference(self, stamp: int, lag: int) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
@@ -237,7 +237,7 @@ class PoseComparison:
 
 
 #: Setpoints that are remembered: 65 s. An arm whose replies get lost may trail by many of them.
-KEPT = 16384
+MAX_SETPOINTS = 16384
 
 
 class RoundTrips:
@@ -245,12 +245,12 @@ class RoundTrips:
 
     def __init__(self):
         # two lists that are written over: nothing is made in a cycle
-        self._stamps = [0] * KEPT
-        self._passed = [0] * KEPT
+        self._stamps = [0] * MAX_SETPOINTS
+        self._passed = [0] * MAX_SETPOINTS
 
-    def note(self, stamp: int, now: int) -> None:
-        """Note that the setpoint with this nominal stamp passed at `now` [ns]."""
-        place = stamp // CYCLE_NS % KEPT
+    def on_setpoint(self, stamp: int, now: int) -> None:
+        """Store that the setpoint with this nominal stamp passed at `now` [ns]."""
+        place = stamp // CYCLE_NS % MAX_SETPOINTS
         self._stamps[place], self._passed[place] = stamp, now
 
     def since(self, stamp: int, now: int) -> float:
@@ -259,7 +259,7 @@ class RoundTrips:
         A stamp between two setpoints is one of the gateway's playout. Where a message waited in a queue the time of its reception
         is an estimate, and may lie a moment before the setpoint passed: 0 then.
         """
-        place = stamp // CYCLE_NS % KEPT
+        place = stamp // CYCLE_NS % MAX_SETPOINTS
         between = stamp - self._stamps[place]
         if stamp == 0 or not -CYCLE_NS < between < CYCLE_NS:
             return math.nan

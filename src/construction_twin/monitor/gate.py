@@ -13,7 +13,7 @@ from construction_twin.core.limits import MotionCheck, MotionLimits
 from construction_twin.core.sentences import Quantity, Sentence, Value
 from construction_twin.core.state_table import row_of
 from construction_twin.core.travel_time import TravelTime
-from construction_twin.core.units import CYCLE_NS, NANOSECONDS, axis_name, from_people, to_people
+from construction_twin.core.units import CYCLE_NS, NANOSECONDS, axis_name, from_display_unit, to_display_unit
 from construction_twin.monitor.comparison import Comparison, PoseComparison, RoundTrips
 from construction_twin.monitor.servo_watch import ServoDifference, ServoWatch
 from construction_twin.monitor.settings import STOP, GateSettings
@@ -72,7 +72,9 @@ class Gate:
     ):
         self._limits, self._compares = limits, compares
         #: Compares the arm with where its servos should have it; None: nobody knows these.
-        self.watch_of_servos = ServoWatch(servos, settings.compared(limits).threshold) if servos is not None else None
+        self.servo_watch = (
+            ServoWatch(servos, settings.comparison_settings(limits).threshold) if servos is not None else None
+        )
         self._codec = codec
         self.settings = settings
         self.violations = 0
@@ -86,9 +88,9 @@ class Gate:
         self.fire(SyncEvent.STARTED, Sentence("started"), now)
 
     def _forget(self) -> None:
-        self.comparison = PoseComparison(self.settings.compared(self._limits))
-        if self.watch_of_servos is not None:
-            self.watch_of_servos.restart()
+        self.comparison = PoseComparison(self.settings.comparison_settings(self._limits))
+        if self.servo_watch is not None:
+            self.servo_watch.restart()
         #: Nominal stamp of the last setpoint that passed [ns]; 0 when none.
         self.held_stamp = 0
         self._check = MotionCheck(self._limits, self._codec.decimals)
@@ -140,7 +142,7 @@ class Gate:
         """Last command that passed [rad], which a closed gate repeats; empty while it has never been open."""
         return self._check.position
 
-    def take_transitions(self) -> list[Transition]:
+    def pop_transitions(self) -> list[Transition]:
         """Return the changes of state since the last call, oldest first."""
         taken, self.transitions = self.transitions, []
         return taken
@@ -188,9 +190,9 @@ class Gate:
             # whatever closed the gate, agreement counts from now on
             self._agreed, self._agreed_since = False, None
             self._policy, self._closed_at, self._counted = self.settings.policy, now, False
-            if self.watch_of_servos is not None:
+            if self.servo_watch is not None:
                 # what stops here is not what the gateway plays: it brakes
-                self.watch_of_servos.doubt()
+                self.servo_watch.suspend_judging()
         if action in (Action.COUNT, Action.HOLD_AND_COUNT):
             self._counted = True
             self._closings.append(now)
@@ -203,13 +205,13 @@ class Gate:
         """Close the gate and forget every pose: a new command session, in which twin and arm start over."""
         self.fire(SyncEvent.NEW_SESSION, reason, now)
 
-    def mirror(self, leads: bool, now: int) -> None:
-        """Take whether the arm leads: then nothing is sent, and what has been STOPPED stays so. A new session follows."""
+    def set_mirrored(self, leads: bool, now: int) -> None:
+        """Set whether the arm leads: then nothing is sent, and what has been STOPPED stays so. A new session follows."""
         if leads and not self.mirrored:
             self.fire(SyncEvent.MIRROR, Sentence("the arm leads: nothing is commanded"), now)
         self.mirrored = leads
 
-    def rests(self, now: int) -> bool:
+    def is_at_rest(self, now: int) -> bool:
         """Return whether the command has not changed for `REST`; `now` in ns."""
         return self._moved_at is None or now - self._moved_at >= REST
 
@@ -217,7 +219,7 @@ class Gate:
         """Raise ConfigurationError for a change of settings while the arm moves or may move, or while the gate holds."""
         if self.mirrored:
             raise ConfigurationError("the gate", "the arm leads", "an arm that does not: it can move at any moment")
-        if not self.rests(now):
+        if not self.is_at_rest(now):
             expected = f"a command that has not changed for {REST / NANOSECONDS:g} s"
             raise ConfigurationError("the gate", "in motion", expected)
         if self.state in HELD_STATES:
@@ -227,9 +229,9 @@ class Gate:
     def configure(self, settings: GateSettings, reason: str, now: int) -> None:
         """Go on with other settings, from rest; the change is a transition."""
         self.check_rest(now)
-        comparison = settings.compared(self._limits)
-        if self.watch_of_servos is not None:
-            self.watch_of_servos.configure(comparison.threshold)
+        comparison = settings.comparison_settings(self._limits)
+        if self.servo_watch is not None:
+            self.servo_watch.configure(comparison.threshold)
         self.comparison.configure(comparison)
         self.settings = settings
         self.fire(SyncEvent.CONFIGURED, reason, now)
@@ -249,13 +251,13 @@ class Gate:
             received: Time of reception on the clock of the stamps [ns], for the report alone; by default `now`.
             seq: The gateway's counter of its states; 0: not known, and so is what the servos should do.
         """
-        continued = self._fresh(now)
+        continued = self._is_fresh(now)
         round_trip = self._round_trips.since(command_stamp, now)
         comparison = self.comparison.compare(q, command_stamp, now if received is None else received, round_trip)
         servos = None
-        if self.watch_of_servos is not None and self._compares:
+        if self.servo_watch is not None and self._compares:
             in_sync = self.state is SyncState.IN_SYNC and comparison is not None and comparison.agrees
-            servos = self.watch_of_servos.on_pose(q, seq, command_stamp, in_sync)
+            servos = self.servo_watch.on_pose(q, seq, command_stamp, in_sync)
         if comparison is None:
             return None
         self._last_feedback = now
@@ -281,10 +283,10 @@ class Gate:
             return
         if servos is None:
             worst = comparison.worst()
-            values = for_people(self._limits, worst, comparison.error[worst], comparison.threshold[worst])
+            values = difference_values(self._limits, worst, comparison.error[worst], comparison.threshold[worst])
             sentence = Sentence("{joint} differs by {difference:.3}, {threshold:.3} allowed", **values)
         else:
-            values = for_people(self._limits, servos.joint, servos.residual, servos.threshold)
+            values = difference_values(self._limits, servos.joint, servos.residual, servos.threshold)
             sentence = Sentence(
                 "{joint} is {difference:.3} from where its servo should have it, {threshold:.3} allowed", **values
             )
@@ -292,11 +294,11 @@ class Gate:
         if closes:
             self._close(SyncEvent.POSE_DIFFERS, sentence, now)
 
-    def agreed(self, now: int) -> bool:
+    def is_agreed(self, now: int) -> bool:
         """True when fresh feedback agrees with the twin, and once did so for `agree_time` within `agree_share` of the threshold."""
         if not self._compares:
             return self.comparison.twin.latest is not None
-        return self._agreed and self._fresh(now)
+        return self._agreed and self._is_fresh(now)
 
     # -- the path
 
@@ -309,8 +311,8 @@ class Gate:
             self.refused += 1
             return None
         self._stamp = stamp
-        self._round_trips.note(stamp, now)
-        late = self._travel.take(stamp, now)
+        self._round_trips.on_setpoint(stamp, now)
+        late = self._travel.record(stamp, now)
         if self.mirrored:
             return None
         was_open = self.state is SyncState.IN_SYNC
@@ -324,29 +326,29 @@ class Gate:
         passed = self._check.position or None
         if self.state is SyncState.IN_SYNC:
             passed = self._checked(stamp, theta_next, now)
-        if passed and self.watch_of_servos is not None:
-            self.watch_of_servos.on_command(stamp, passed)
+        if passed and self.servo_watch is not None:
+            self.servo_watch.on_command(stamp, passed)
         return passed
 
     def watch(self, now: int) -> None:
         """Close an open gate when feedback has gone stale, give up on a closed one: also while no theta_next comes."""
         if self.state is SyncState.IN_SYNC:
-            if self._compares and not self._fresh(now) and self._last_feedback is not None:
+            if self._compares and not self._is_fresh(now) and self._last_feedback is not None:
                 age = (now - self._last_feedback) / NANOSECONDS
                 stale = Sentence("last comparable feedback is {age:.3f} s old", age=age)
                 self._close(SyncEvent.FEEDBACK_STALE, stale, now)
-            elif (watch := self.watch_of_servos) is not None and watch.refinement.due and self.rests(now):
+            elif (watch := self.servo_watch) is not None and watch.refinement.due and self.is_at_rest(now):
                 # what was learned of the servos takes effect at rest; a change is a transition
                 if changes := watch.refine():
-                    told = ", ".join(f"{name} {1e3 * change:+.2f} ms" for name, change in changes.items())
-                    refined = Sentence("the servos' lag was refined: {lags}", lags=told)
+                    changed = ", ".join(f"{name} {1e3 * change:+.2f} ms" for name, change in changes.items())
+                    refined = Sentence("the servos' lag was refined: {lags}", lags=changed)
                     self.fire(SyncEvent.SERVOS_REFINED, refined, now)
         elif self._row(SyncEvent.GAVE_UP, now) is not None:
             held = (now - self._closed_at) / NANOSECONDS
             sentence = Sentence("held for {held:.3f} s; {reason}; call reset", held=held, reason=self._entered_for)
             self.fire(SyncEvent.GAVE_UP, sentence, now)
 
-    def _fresh(self, now: int) -> bool:
+    def _is_fresh(self, now: int) -> bool:
         last = self._last_feedback
         return last is not None and now - last <= self.settings.feedback_timeout * NANOSECONDS
 
@@ -360,7 +362,7 @@ class Gate:
         self.fire(SyncEvent.ESCALATED, held, now)
 
     def _try_to_open(self, stamp: int, theta_next: tuple[float, ...], late: int, now: int) -> None:
-        if self.state is SyncState.STOPPED or self.mirrored or not self.agreed(now):
+        if self.state is SyncState.STOPPED or self.mirrored or not self.is_agreed(now):
             return
         if late > LATEST:
             self._obstacle = Sentence("theta_next is late; {expected}", expected=_IN_TIME)
@@ -403,11 +405,11 @@ class Gate:
         return command
 
 
-def for_people(limits: MotionLimits, joint: int, difference: float, threshold: float) -> dict[str, Value]:
+def difference_values(limits: MotionLimits, joint: int, difference: float, threshold: float) -> dict[str, Value]:
     """Return the axis' name, and a difference that reads as more than its threshold with three decimals of deg or mm."""
     unit = "m" if limits.linear[joint] else "rad"
-    (shown, _), (allowed, people) = to_people(difference, unit), to_people(threshold, unit)
+    (shown, _), (allowed, people) = to_display_unit(difference, unit), to_display_unit(threshold, unit)
     if round(shown, 3) <= round(allowed, 3):
-        difference, _ = from_people(round(allowed, 3) + 0.001, people)
+        difference, _ = from_display_unit(round(allowed, 3) + 0.001, people)
     name = axis_name(limits.names[joint])
     return {"joint": name, "difference": Quantity(difference, unit), "threshold": Quantity(threshold, unit)}

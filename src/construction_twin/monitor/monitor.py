@@ -18,7 +18,7 @@ from construction_twin.monitor.settings import REPLAN
 from construction_twin.monitor.states import SyncEvent, SyncState, Transition
 
 #: Plans remembered besides the one that was played last.
-KEPT = 20
+MAX_GOALS = 20
 #: Rate of `sync` while its state does not change [Hz]. After 0.5 s of silence the executor takes the gate for closed.
 SYNC_RATE = 50.0
 #: Longest time between two `sync` of an open gate while the command rests [ns]: five nodes read each of them.
@@ -35,7 +35,7 @@ class ReplanGoal:
         goal: Shape (n,). [rad]
         speed_scale, acceleration_scale: Largest fraction of the limits that the plan uses, at most 1; 0 for a plan that stands
             still.
-        seen: The robot's clock when the executor was last known to play it; empty: never. A plan that a person stopped later must
+        last_played: Robot clock when the executor was last known to play it; empty: never. A plan that a person stopped later must
             not be taken up again.
     """
 
@@ -43,7 +43,7 @@ class ReplanGoal:
     goal: tuple[float, ...]
     speed_scale: float
     acceleration_scale: float
-    seen: str = ""
+    last_played: str = ""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Replan:
 
 
 @dataclass(frozen=True)
-class _Played:
+class _PlayState:
     """What the executor did when it was last heard: whether it played that plan, and was not told to stop or to pause."""
 
     plan_id: str = ""
@@ -80,7 +80,7 @@ class Monitor:
             )
             gate.fire(SyncEvent.STOPPED_BEFORE, was, now)
         self._goals: dict[str, ReplanGoal] = {}
-        self._played = _Played()
+        self._played = _PlayState()
         #: The executor's sentence while a plan is being executed, at rest or not; empty otherwise.
         self._executing = ""
         self._reported: tuple = ()
@@ -93,7 +93,7 @@ class Monitor:
 
     def on_link(self, session: str, leads: bool, now: int) -> None:
         """Take the link's session, and whether the arm leads; a new session restarts the gate."""
-        self.gate.mirror(leads, now)
+        self.gate.set_mirrored(leads, now)
         if session and session != self._session:
             if self._session:
                 self.gate.restart(Sentence("new command session"), now)
@@ -108,7 +108,7 @@ class Monitor:
                 raise ConfigurationError("the executor", self._executing, "no plan that is being executed")
             # before the text is read: whatever reading it costs, it costs at rest
             self.gate.check_rest(now)
-            settings = self.gate.settings.changed(text)
+            settings = self.gate.settings.with_changes(text)
             difference = self.gate.settings.difference(settings)
             if not difference:
                 return "nothing to change"
@@ -126,13 +126,13 @@ class Monitor:
         speed, acceleration = (min(1.0, max(use, default=0.0)) for use in (velocity_use, acceleration_use))
         self._goals[plan_id] = ReplanGoal(plan_id, tuple(goal), speed, acceleration)
         old = [known for known in self._goals if known not in (self._played.plan_id, plan_id)]
-        for known in old[: max(len(old) - KEPT, 0)]:
+        for known in old[: max(len(old) - MAX_GOALS, 0)]:
             del self._goals[known]
 
     def on_execution(self, plan_id: str, executing: str, playing: bool, moment: str) -> None:
         """Take what the executor did at a moment: its state as a word while it follows the plan, else empty."""
         self._executing = executing and f"plan {plan_id} is {executing}"
-        self._played = _Played(plan_id, playing, moment)
+        self._played = _PlayState(plan_id, playing, moment)
 
     @property
     def interrupted(self) -> ReplanGoal | None:
@@ -144,18 +144,18 @@ class Monitor:
         found = self._goals.get(played.plan_id) if played.playing else None
         if found is None or found.speed_scale <= 0.0 or found.acceleration_scale <= 0.0:
             return None
-        return replace(found, seen=played.moment)
+        return replace(found, last_played=played.moment)
 
-    def take_transitions(self) -> tuple[list[Transition], Replan | None]:
+    def pop_transitions(self) -> tuple[list[Transition], Replan | None]:
         """Return the gate's transitions, and the plan to ask for when it has just closed, before the change is heard."""
-        changes = self.gate.take_transitions()
+        changes = self.gate.pop_transitions()
         first, wanted = changes[0], self.interrupted
         closed = first.source is SyncState.IN_SYNC and first.target is not SyncState.IN_SYNC
         if not closed or self.gate.policy != REPLAN or wanted is None:
             return changes, None
         asked = Sentence("a path to the goal of plan {plan} was asked for, no faster than that", plan=wanted.plan_id)
         asks = self.gate.fire(SyncEvent.REPLAN_ASKED, asked, first.at)
-        changes += self.gate.take_transitions()
+        changes += self.gate.pop_transitions()
         replan = Replan(self.gate.held, wanted, self.gate.violations)
         return changes, replan if asks else None
 
@@ -167,11 +167,11 @@ class Monitor:
 
     # -- what is told
 
-    def sync(self, now: int) -> SyncReport | None:
-        """Return the gate's report when it is to be told: at once in another state, else at `SYNC_RATE`, at rest less often."""
+    def pop_sync_report(self, now: int) -> SyncReport | None:
+        """Return the gate's report when it is due: at once in another state, else at `SYNC_RATE`, at rest less often."""
         gate = self.gate
-        state = (gate.state, gate.reason, gate.agreed(now))
-        resting = gate.state is SyncState.IN_SYNC and gate.rests(now) and not gate.mirrored
+        state = (gate.state, gate.reason, gate.is_agreed(now))
+        resting = gate.state is SyncState.IN_SYNC and gate.is_at_rest(now) and not gate.mirrored
         pause = RESTING_SYNC if resting else round(NANOSECONDS / SYNC_RATE)
         if state == self._reported and now - self._sync_at < pause:
             return None
@@ -200,7 +200,7 @@ class Monitor:
 
     def values(self) -> dict[str, object]:
         """Return what `/diagnostics` says of the gate."""
-        gate, watch = self.gate, self.gate.watch_of_servos
+        gate, watch = self.gate, self.gate.servo_watch
         last = gate.comparison.last
         values: dict[str, object] = {
             "policy": gate.policy,
@@ -215,7 +215,7 @@ class Monitor:
             "servo model": "judges" if watch.judges else "waits until the arm has moved as commanded",
             "compared with it": watch.judged,
             "largest residual": f"{max(watch.largest):.6f}",
-            "lag beyond the file [ms]": ", ".join(f"{1e3 * lag:+.2f}" for lag in watch.refinement.later),
+            "lag beyond the file [ms]": ", ".join(f"{1e3 * lag:+.2f}" for lag in watch.refinement.added_lags),
         }
 
 
@@ -227,10 +227,10 @@ class TransitionLogError(ConstructionTwinError):
 
 
 class TransitionLog:
-    """The file of all transitions, whose stamps are in ROS time here, and the newest; `problem`: why it cannot be written."""
+    """The file of all transitions, whose stamps are in ROS time here, and the newest; `fault`: why it cannot be written."""
 
     def __init__(self, path: Path, names: tuple[str, ...]):
-        self.problem, self._names, self._count = "", names, 0
+        self.fault, self._names, self._count = "", names, 0
         self._file = AppendOnlyFile(path, TransitionLogError, "pca_monitor")
         self._recent: deque[Transition] = deque(maxlen=SHOWN)
 
@@ -245,9 +245,9 @@ class TransitionLog:
         try:
             self._file.flush()
         except TransitionLogError as error:
-            self.problem = str(error)
+            self.fault = str(error)
         else:
-            self.problem = ""
+            self.fault = ""
 
     def values(self) -> dict[str, str]:
         """Return what `/diagnostics` shows."""

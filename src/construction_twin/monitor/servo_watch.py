@@ -44,27 +44,27 @@ class Refinement:
 
     Attributes:
         model: As refined so far.
-        later: Length n. How much later each joint is than the file says [s].
-        due: Whether a joint has moved enough for `take`.
+        added_lags: Length n. How much later each joint is than the file says [s].
+        due: Whether a joint has moved enough for `apply`.
     """
 
     def __init__(self, model: ServoModel):
         self._file = self.model = model
-        self.later = (0.0,) * len(model.names)
+        self.added_lags = (0.0,) * len(model.names)
         self.due = False
         self._sums = [_Slope() for _ in model.names]
 
-    def learn(self, residual: Sequence[float], speed: Sequence[float]) -> None:
-        """Take a sample: measured minus expected position, and the expected speed of each joint, length n [rad], [rad/s]."""
+    def add_sample(self, residual: Sequence[float], speed: Sequence[float]) -> None:
+        """Add a sample: measured minus expected position, and the expected speed of each joint, length n [rad], [rad/s]."""
         for slope, difference, rate in zip(self._sums, residual, speed):
             if abs(rate) >= SLOWEST:
                 slope.add(rate, difference)
                 if slope.count >= ENOUGH:
                     self.due = True
 
-    def take(self) -> dict[str, float]:
+    def apply(self) -> dict[str, float]:
         """Let what was learned take effect in `model`, at rest; return the changes of lags by joint [s], {} for none."""
-        changes, later = {}, list(self.later)
+        changes, later = {}, list(self.added_lags)
         for joint, (name, slope) in enumerate(zip(self.model.names, self._sums)):
             if slope.count < ENOUGH:
                 continue
@@ -76,8 +76,8 @@ class Refinement:
             self._sums[joint] = _Slope()
         self.due = False
         if changes:
-            self.later = tuple(later)
-            self.model = self._file.slower(self.later)
+            self.added_lags = tuple(later)
+            self.model = self._file.slower(self.added_lags)
         return changes
 
 
@@ -158,16 +158,16 @@ class ServoWatch:
     def restart(self) -> None:
         """Forget commands and motion, not what was learned of the servos: a new command session."""
         self._commands = TwinHistory()
-        self.lose()
+        self.forget_commands()
 
-    def lose(self) -> None:
-        """Take that nothing is known of what the arm is told."""
+    def forget_commands(self) -> None:
+        """Forget the commands: what the arm follows is unknown."""
         self._state: ServoState | None = None
         self._stamp = self._seq = 0
         self.expected: tuple[float, ...] = ()
-        self.doubt()
+        self.suspend_judging()
 
-    def doubt(self) -> None:
+    def suspend_judging(self) -> None:
         """Judge nothing until the arm has moved as commanded for `STEADY`: the gate is closed."""
         self.judges = False
         self.difference: ServoDifference | None = None
@@ -190,22 +190,22 @@ class ServoWatch:
         if seq and seq == self._seq and self._state is not None:
             return self.difference
         if not seq or not command_stamp or not self._follow(seq, command_stamp):
-            self.lose()
+            self.forget_commands()
             return None
         residual = tuple([measured - wanted for measured, wanted in zip(q, self.expected)])
         if not in_sync:
-            self.doubt()
+            self.suspend_judging()
             return None
         self._judge(residual)
         if self.judges and self.difference is None and not self._streak and len(before) == len(residual):
             self.largest = tuple([max(most, abs(each)) for most, each in zip(self.largest, residual)])
             period = self.refinement.model.period
-            self.refinement.learn(residual, [(b - a) / period for a, b in zip(before, self.expected)])
+            self.refinement.add_sample(residual, [(b - a) / period for a, b in zip(before, self.expected)])
         return self.difference
 
     def refine(self) -> dict[str, float]:
         """Let what was learned of the servos take effect, at rest; return the change of each joint's lag by its name [s]."""
-        changes = self.refinement.take()
+        changes = self.refinement.apply()
         if changes and self._state is not None:
             self._state.configure(self.refinement.model)
         return changes
@@ -218,7 +218,7 @@ class ServoWatch:
             target = self._target(stamp)
             if target is None:
                 return False
-            self.doubt()
+            self.suspend_judging()
             self._state = ServoState(self.refinement.model, target)
             self.expected = target
         else:
@@ -226,7 +226,7 @@ class ServoWatch:
             if keeps_pace(advance, cycles * cycle):
                 self._steady += cycles * cycle
             else:
-                self.doubt()
+                self.suspend_judging()
             for number in range(1, cycles + 1):
                 target = self._target(begin + advance * number // cycles)
                 if target is None:

@@ -50,7 +50,7 @@ class GateSettings(pydantic.BaseModel):
     escalate_count: int = pydantic.Field(5, ge=1, le=1000, strict=True)
     escalate_time: float = pydantic.Field(30.0, gt=0, le=3600, strict=True)
 
-    def compared(self, limits: MotionLimits) -> ComparisonSettings:
+    def comparison_settings(self, limits: MotionLimits) -> ComparisonSettings:
         """Return the part that the comparison needs, for the joints of `limits` in their order."""
         foreign = [name for name in self.thresholds if name not in limits.names]
         if foreign:
@@ -61,7 +61,7 @@ class GateSettings(pydantic.BaseModel):
         )
         return ComparisonSettings(threshold, self.lag_allowance, self.lag_margin, self.comparison == ALIGNED)
 
-    def changed(self, text: str) -> GateSettings:
+    def with_changes(self, text: str) -> GateSettings:
         """Return the settings with some changed by a YAML text, e.g. ``{policy: resume, thresholds: {joint_a3: 0.02}}``."""
         try:
             changes = yaml.safe_load(text)

@@ -99,7 +99,7 @@ TABLE: tuple[Row, ...] = (
     *rows(HELD_STATES, _E.GAVE_UP, _S.STOPPED, guard=Guard.HELD_TOO_LONG),
 )
 
-ROWS = state_table.by_cause(TABLE)
+ROWS = state_table.rows_by_event(TABLE)
 
 
 @dataclass(frozen=True)

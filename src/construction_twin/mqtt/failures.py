@@ -67,24 +67,24 @@ def _tls_failure(error: ssl.SSLError) -> str:
     return f"TLS failed ({reason})"
 
 
-class ConnectionReport:
-    """Says why there is no connection, each sentence once, from the thread that connects or serves the client.
+class ConnectionLog:
+    """Logs why there is no connection, each sentence once, from the thread that connects or serves the client.
 
     Args:
-        first: Whether to say why there has never been a connection.
+        first: Whether to log why there has never been a connection.
 
     Attributes:
         sentence: Why there is no connection; empty while there is one, and before the first attempt has ended.
     """
 
-    def __init__(self, broker: Broker, say: Callable[[str], None], first: bool = True):
-        self._broker, self._say, self._spoken = broker, say, first
+    def __init__(self, broker: Broker, log: Callable[[str], None], first: bool = True):
+        self._broker, self._log, self._is_logging = broker, log, first
         self._where = f"broker {broker.host}:{broker.port}"
-        self._welcomed = False
+        self._was_accepted = False
         self.sentence = ""
 
     def watch(self, client: paho.Client) -> None:
-        """Report the failed attempts of a client that is served by paho's own thread."""
+        """Log the failed attempts of a client that is served by paho's own thread."""
 
         def failed(client, userdata) -> None:
             error = sys.exc_info()[1]
@@ -95,31 +95,31 @@ class ConnectionReport:
 
     def connected(self, client: FastClient, properties: Properties | None) -> None:
         """Take note that the broker has accepted the connection, with the properties of its answer (CONNACK)."""
-        self._welcomed = self._spoken = True
+        self._was_accepted = self._is_logging = True
         self.sentence = ""
         client.largest = getattr(properties, "MaximumPacketSize", None)
-        client.on_too_large = self._say
+        client.on_too_large = self._log
 
     def failed(self, error: OSError) -> None:
-        """Report an attempt to connect that raised `error`."""
-        self._report(connection_failure(self._broker, error))
+        """Log an attempt to connect that raised `error`."""
+        self._log_once(connection_failure(self._broker, error))
 
     def refused(self, reason_code: ReasonCode) -> None:
-        """Report a connection that the broker refused in its answer (CONNACK)."""
+        """Log a connection that the broker refused in its answer (CONNACK)."""
         where, account = self._where, self._broker.account
         if reason_code.value == _UNSUPPORTED_VERSION:
-            self._report(f"{where} does not speak MQTT 5: use one that does, as mosquitto (docs/broker.md)")
+            self._log_once(f"{where} does not speak MQTT 5: use one that does, as mosquitto (docs/broker.md)")
         elif reason_code.value not in _ACCOUNT:
-            self._report(f"{where} refused the connection: {reason_code}")
+            self._log_once(f"{where} refused the connection: {reason_code}")
         elif account is None or not account.user:
-            self._report(f"{where} refused the connection: {reason_code}; it wants an account, give an account file")
+            self._log_once(f"{where} refused the connection: {reason_code}; it wants an account, give an account file")
         else:
             check = f"check it, and the password in {account.password_file}"
-            self._report(f"{where} refused user {account.user!r}: {reason_code}; {check}")
+            self._log_once(f"{where} refused user {account.user!r}: {reason_code}; {check}")
 
     def lost(self, reason_code: ReasonCode) -> None:
-        """Report the unwanted end of a connection; what the broker said when it refused one stays."""
-        welcomed, self._welcomed = self._welcomed, False
+        """Log the unwanted end of a connection; what the broker said when it refused one stays."""
+        welcomed, self._was_accepted = self._was_accepted, False
         if not reason_code.is_failure or self.sentence:
             return
         broker, where = self._broker, self._where
@@ -128,16 +128,16 @@ class ConnectionReport:
         more = certificate if broker.account is not None and broker.account.cert_file else ""
         if not welcomed:
             spoken = f"MQTT 5 {'with' if broker.encrypted else 'without'} TLS? RabbitMQ before 3.13 does not"
-            self._report(f"{where} closed the connection without an answer: does the port speak {spoken}{more}")
+            self._log_once(f"{where} closed the connection without an answer: does the port speak {spoken}{more}")
             return
         if reason_code.value == _TAKEN_OVER:
             why = "taken away by a client with the same id, which an account there knows: see the broker's log (docs/broker.md)"
         else:
             why = f"lost: {'the broker or the network has closed it' if reason_code.value == _CLOSED else reason_code}"
-        self._report(f"connection to {where} {why}; trying again{more}")
+        self._log_once(f"connection to {where} {why}; trying again{more}")
 
     def watch_publish(self, client: paho.Client, topic: str, mid: int) -> None:
-        """Report when the access rules refuse one message that was just published; called in the thread that serves the client.
+        """Log when the access rules refuse one message that was just published; called in the thread that serves the client.
 
         One only: a callback for every message would cost time with each command.
         """
@@ -150,12 +150,12 @@ class ConnectionReport:
             client.on_publish = None
             if reason_code.is_failure:
                 found = f"{self._where} does not let {who} publish on {topic}: {reason_code}"
-                self._say(f"{found}; this program needs the account of its role")
+                self._log(f"{found}; this program needs the account of its role")
 
         client.on_publish = on_publish
 
-    def _report(self, sentence: str) -> None:
+    def _log_once(self, sentence: str) -> None:
         if sentence != self.sentence:
             self.sentence = sentence
-            if self._spoken:
-                self._say(sentence)
+            if self._is_logging:
+                self._log(sentence)

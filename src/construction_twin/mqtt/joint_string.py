@@ -44,9 +44,9 @@ class JointStringCodec:
             raise ConfigurationError("decimals", decimals, "1 to 6 decimals of a degree")
         if joints < 1:
             raise ConfigurationError("joints", joints, "at least one joint")
-        for name, given in (("axes", axes), ("linear", linear)):
-            if given and len(given) != joints:
-                raise ConfigurationError(name, tuple(given), f"one for each of {joints} joints")
+        for name, per_joint in (("axes", axes), ("linear", linear)):
+            if per_joint and len(per_joint) != joints:
+                raise ConfigurationError(name, tuple(per_joint), f"one for each of {joints} joints")
         self.joints = joints
         self.decimals = decimals
         self._mapping = mapping if mapping and any(entry != (1, 0.0) for entry in mapping) else None

@@ -13,7 +13,7 @@ from functools import partialmethod
 from typing import Any
 
 from construction_twin.core.errors import ConfigurationError, PayloadError
-from construction_twin.core.records import SPACED, dumped, left_out
+from construction_twin.core.records import SPACED, optional_field, to_json
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.mqtt.requests import STOP, RequestKind
@@ -180,7 +180,7 @@ class Control:
 
     def to_json(self) -> bytes:
         """Return the message's payload."""
-        return dumped(self, marks=SPACED)
+        return to_json(self, separators=SPACED)
 
 
 @dataclass(frozen=True)
@@ -200,10 +200,10 @@ class BridgeStatus:
 
     state: str
     reason: str
-    session: str | None = left_out()
-    protocol: int | None = left_out()
-    responsible: str | None = left_out()
-    not_checked: Sequence[str] | None = left_out()
+    session: str | None = optional_field()
+    protocol: int | None = optional_field()
+    responsible: str | None = optional_field()
+    not_checked: Sequence[str] | None = optional_field()
 
 
 def protocol_of(document: object) -> object:
@@ -313,7 +313,7 @@ class Intervention:
 def parse_intervention(account: str, payload: bytes, retained: bool) -> Intervention:
     """Return what is asked for in a message on `stop/<account>`; PayloadError, ``retained`` or ``stop``.
 
-    The bridge's side reads it by its model (`link.requests.Pressed`); a moment may stand in it.
+    The bridge's side reads it by its model (`link.requests.ButtonPress`); a moment may stand in it.
     """
     demand_live(retained, STOP.name)
     document = parse_object(payload, STOP.name, STOP.limit)

@@ -106,7 +106,7 @@ class PolledClient:
             self.client.loop_write()
         if line is not None:
             with line:
-                _hear_out(line, deadline)
+                _await_close(line, deadline)
 
     def _register(self, sock) -> None:
         if self._registered is not None:
@@ -134,7 +134,7 @@ class PolledClient:
             self._on_failure(error)
 
 
-def _hear_out(line: socket.socket, deadline: float) -> None:
+def _await_close(line: socket.socket, deadline: float) -> None:
     try:
         while (remaining := deadline - time.monotonic()) > 0:
             line.settimeout(remaining)

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from construction_twin.core.rate_limit import Pace, SenderLimits
-from construction_twin.core.sentences import told
+from construction_twin.core.sentences import templates_of
 
 #: Who carries out what is pressed: the gateway, which brakes the arm, the executor, which brakes along the path, or the bridge,
 #: which begins a session with the gateway.
@@ -95,7 +95,7 @@ class RequestKind:
         """Return an answer: what is known of its fields, else `UNKNOWN`, and `said` (`core.sentences`); ValueError for a nan."""
         # not by `core.records`: null in the place of a nan would be an answer
         fields = {key: known.get(key, UNKNOWN[key]) for key in self.answer}
-        said = told(fields)
+        said = templates_of(fields)
         return json.dumps(fields | ({"said": said} if said else {}), allow_nan=False).encode()
 
 

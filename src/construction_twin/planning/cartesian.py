@@ -22,7 +22,7 @@ from construction_twin.kinematics.batch_kinematics import angles_between
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.solution import InverseKinematics
 from construction_twin.planning.curves import JointCurve
-from construction_twin.planning.ik_branch import Branch
+from construction_twin.planning.ik_branch import BranchFollower
 from construction_twin.planning.limit_usage import cycle_times
 from construction_twin.planning.recheck import CollisionError
 from construction_twin.planning.request_limits import PlanBounds
@@ -103,19 +103,19 @@ def plan_cartesian(
     bounds.check(0.0, len(waypoints))
     path = _path_in_reach(chain, chain.forward(q), waypoints)
     bounds.check_tool_path(sum(piece.end - piece.begin for piece in path.pieces if not piece.turn), speed)
-    branch = Branch(path, inverse, q)
+    branch = BranchFollower(path, inverse, q)
     asked = {"speed_scale": speed_scale, "acceleration_scale": acceleration_scale, "bounds": bounds}
     parts = []
     for piece in path.pieces:
         curve = _joint_curve(branch, piece, q)
-        parts.append(_Part.make(branch, piece, curve, math.inf if piece.turn or speed is None else speed, asked))
+        parts.append(_Part.timed_from(branch, piece, curve, math.inf if piece.turn or speed is None else speed, asked))
         if world is not None:
             parts[-1].check_free(branch, world)
         q = parts[-1].timed.trajectory.positions[-1]
-        made = [part.timed.trajectory for part in parts]
-        bounds.check(sum(part.duration for part in made), sum(len(part.times) for part in made))
+        trajectories = [part.timed.trajectory for part in parts]
+        bounds.check(sum(part.duration for part in trajectories), sum(len(part.times) for part in trajectories))
     return CartesianMotion(
-        joined(made)[0],
+        joined(trajectories)[0],
         path,
         max(part.deviation_m for part in parts),
         max(part.deviation_rad for part in parts),
@@ -126,19 +126,19 @@ def plan_cartesian(
 def _path_in_reach(chain: Chain, start: Pose, waypoints: Sequence[ToolWaypoint]) -> ToolPath:
     """Return the path; refuse one that leads much further than the arm reaches, without following it step by step."""
 
-    def demand(number: int, what: str, points: np.ndarray) -> None:
+    def require_in_reach(number: int, what: str, points: np.ndarray) -> None:
         with np.errstate(over="ignore"):
             distance = float(np.max(np.linalg.norm(points - chain.shoulder, axis=1)))
         if distance > FAR * chain.reach:  # not a number: refused by the path itself
             raise FarWaypointError(number, what, distance, chain.reach)
 
     for number, waypoint in enumerate(waypoints):
-        demand(number, Sentence("its position"), waypoint.pose.position[None])
+        require_in_reach(number, Sentence("its position"), waypoint.pose.position[None])
         if waypoint.via is not None:
-            demand(number, Sentence("the via point of its arc"), waypoint.via[None])
+            require_in_reach(number, Sentence("the via point of its arc"), waypoint.via[None])
     path = ToolPath(start, waypoints)
     for number, points in path.arcs():
-        demand(number, "the arc that leads there", points)
+        require_in_reach(number, "the arc that leads there", points)
     return path
 
 
@@ -154,7 +154,9 @@ class _Part:
     top_speed: float
 
     @classmethod
-    def make(cls, branch: Branch, piece: Piece, curve: JointCurve, speed: float, asked: dict[str, Any]) -> _Part:
+    def timed_from(
+        cls, branch: BranchFollower, piece: Piece, curve: JointCurve, speed: float, asked: dict[str, Any]
+    ) -> _Part:
         """Time a piece as asked, with waypoints dense enough for the deviation and slow enough for the tool's speed."""
         top_speed = SPEED_FRACTION * speed
         for spacing in SPACINGS:
@@ -172,10 +174,10 @@ class _Part:
             turned=Quantity(part.deviation_rad, "rad"),
             speed=f"{part.top_speed * 1e3:.1f}",
         )
-        raise branch.end("deviation", piece.begin, found)
+        raise branch.end_error("deviation", piece.begin, found)
 
     @classmethod
-    def _measured(cls, branch: Branch, piece: Piece, timed: TimedCurve) -> _Part:
+    def _measured(cls, branch: BranchFollower, piece: Piece, timed: TimedCurve) -> _Part:
         times = cycle_times(timed.trajectory)
         q = timed.trajectory.sample_many(times)[0]
         positions, rotations = branch.batch.poses(q)
@@ -185,7 +187,7 @@ class _Part:
         speeds = np.linalg.norm(np.diff(positions, axis=0), axis=1) / CYCLE
         return cls(piece, timed, q, away, turned, float(np.max(speeds)))
 
-    def check_free(self, branch: Branch, world: CollisionWorld) -> None:
+    def check_free(self, branch: BranchFollower, world: CollisionWorld) -> None:
         """Check every sample for contact, and the motion between them."""
         found = world.first_contact(self.samples)
         if found is None:
@@ -195,16 +197,16 @@ class _Part:
         between = contact.between
         cause = CollisionError(between, Sentence("{distance:.1} along the path", distance=Quantity(s, "m")))
         what = Sentence("{first} would touch {second}; move path or object", first=between[0], second=between[1])
-        raise branch.end("collision", s, what, cause)
+        raise branch.end_error("collision", s, what, cause)
 
 
-def _joint_curve(branch: Branch, piece: Piece, q: np.ndarray) -> JointCurve:
+def _joint_curve(branch: BranchFollower, piece: Piece, q: np.ndarray) -> JointCurve:
     """Return the joint curve over the piece's length that follows it within `CURVE_FRACTION` of the deviation."""
     s = np.concatenate(
         [np.linspace(a, b, cells, endpoint=False) for a, b, cells in zip(piece.knots, piece.knots[1:], piece.cells)]
         + [np.array([piece.end])]
     )
-    joints = branch.walk(q, s)
+    joints = branch.follow(q, s)
     for _ in range(REFINEMENTS):
         spline = CubicSpline(s - piece.begin, joints)
         middle = 0.5 * (s[:-1] + s[1:])
@@ -222,15 +224,15 @@ def _joint_curve(branch: Branch, piece: Piece, q: np.ndarray) -> JointCurve:
         joints = np.concatenate((joints, between[deviates]))[order]
     most = Quantity(DEVIATION_M, "m")
     what = Sentence("the joints cannot follow within {most:.1} there; give the corner a larger blend", most=most)
-    raise branch.end("deviation", float(middle[np.argmax(deviates)]), what)
+    raise branch.end_error("deviation", float(middle[np.argmax(deviates)]), what)
 
 
 def _time(
-    branch: Branch, piece: Piece, curve: JointCurve, speed: float, spacing: float, asked: dict[str, Any]
+    branch: BranchFollower, piece: Piece, curve: JointCurve, speed: float, spacing: float, asked: dict[str, Any]
 ) -> TimedCurve:
     try:
         return time_curve(curve, branch.chain.robot, top_speed=speed, spacing=spacing, **asked)
     except JointRangeError as error:
         # all samples of the curve are in range, but the motion between two of them leaves it
         what = Sentence("{problem}; move the path away from the limit", problem=str(error))
-        raise branch.end("joint limit", piece.begin, what, error) from error
+        raise branch.end_error("joint limit", piece.begin, what, error) from error

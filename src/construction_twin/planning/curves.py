@@ -21,7 +21,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, PPoly
 
 
-class Pieces:
+class PiecewisePolynomial:
     """A piecewise polynomial of one value or of a vector, of degree 2 or more; knots and coefficients as those of `PPoly`."""
 
     def __init__(self, knots: np.ndarray, coefficients: np.ndarray):
@@ -73,7 +73,7 @@ class JointCurve:
         self.straight = pieces.c.shape[:2] == (2, 1)
         # a straight line gets an empty square term
         coefficients = np.concatenate((np.zeros_like(pieces.c[:1]), pieces.c)) if self.straight else pieces.c
-        self._pieces = Pieces(pieces.x, coefficients)
+        self._pieces = PiecewisePolynomial(pieces.x, coefficients)
         self.knots = pieces.x
         self.length = float(pieces.x[-1])
         self.joints = coefficients.shape[2]

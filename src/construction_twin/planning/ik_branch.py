@@ -1,7 +1,7 @@
 """One branch of the inverse kinematics, followed along a tool path until the branch or the path ends.
 
 Newton steps from one pose to the next cannot change the branch: between two branches lies a singularity, and the steps are
-short enough to detect it. Where the branch ends, `Branch.end` makes the error that says where and why.
+short enough to detect it. Where the branch ends, `BranchFollower.end_error` makes the error that says where and why.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ AHEAD = (1e-4, 1e-3, 1e-2)
 FINEST = 1e-5
 
 
-class Branch:
+class BranchFollower:
     """Follows a tool path from a joint vector, `start`, shape (n,).
 
     Attributes:
@@ -89,7 +89,7 @@ class Branch:
         if fault[0]:
             raise self._singular(0.0, start)
 
-    def walk(self, start: np.ndarray, s: np.ndarray) -> np.ndarray:
+    def follow(self, start: np.ndarray, s: np.ndarray) -> np.ndarray:
         """Follow the path from a joint vector over places, shape (m,), ascending [m]; CartesianPathError where the branch ends."""
         targets = [Pose(*target) for target in zip(*self.path.poses(s))]
         done = np.asarray(start)[None]
@@ -98,7 +98,9 @@ class Branch:
             if len(done) < len(s):
                 # shorter steps either pass this place, or end where the branch ends
                 last = len(done) - 1
-                done = np.concatenate((done, self._creep(done[-1], float(s[last]), float(s[last + 1]))[None]))
+                done = np.concatenate(
+                    (done, self._follow_in_halves(done[-1], float(s[last]), float(s[last + 1]))[None])
+                )
         return done
 
     def _stride(self, q: np.ndarray, targets: list[Pose]) -> np.ndarray:
@@ -114,7 +116,7 @@ class Branch:
         return reached[: faults[0]] if len(faults) else reached
 
     def check(self, q: np.ndarray, before: np.ndarray, s_before: np.ndarray, s: np.ndarray) -> None:
-        """Check that joint vectors that were not found by `walk` belong to the branch; CartesianPathError where it ends.
+        """Check that joint vectors that were not found by `follow` belong to the branch; CartesianPathError where it ends.
 
         Args:
             q: Shape (m, n). At places `s`, shape (m,).
@@ -122,9 +124,11 @@ class Branch:
         """
         far = np.any(np.abs(q - before) > LONGEST_STEP, axis=1)
         for row in np.flatnonzero(self._faults(q) | far)[:1]:
-            self._creep(before[row], float(s_before[row]), float(s[row]))
+            self._follow_in_halves(before[row], float(s_before[row]), float(s[row]))
 
-    def end(self, reason: str, s: float, what: str, cause: ConstructionTwinError | None = None) -> CartesianPathError:
+    def end_error(
+        self, reason: str, s: float, what: str, cause: ConstructionTwinError | None = None
+    ) -> CartesianPathError:
         """Return the error for a path that can be followed up to `s` [m]."""
         fraction = min(1.0, s / self.path.length)
         return CartesianPathError(reason, fraction, s, self.path.waypoint_at(s), what, cause)
@@ -161,7 +165,7 @@ class Branch:
                 return None
         return None
 
-    def _creep(self, q: np.ndarray, begin: float, end: float) -> np.ndarray:
+    def _follow_in_halves(self, q: np.ndarray, begin: float, end: float) -> np.ndarray:
         """Return the joint vector at `end`; the interval is halved until every step succeeds."""
         reached = self._advance(q, self.path.pose(end))
         if reached is not None and not self._faults(reached[None])[0]:
@@ -169,7 +173,7 @@ class Branch:
         if end - begin <= FINEST:
             raise self._explain(q, begin, end, reached)
         middle = 0.5 * (begin + end)
-        return self._creep(self._creep(q, begin, middle), middle, end)
+        return self._follow_in_halves(self._follow_in_halves(q, begin, middle), middle, end)
 
     def _faults(self, q: np.ndarray) -> np.ndarray:
         """Return which joint vectors are out of range, singular, or beyond a singularity: shape (m,)."""
@@ -203,11 +207,11 @@ class Branch:
             except JointRangeError as error:
                 values = {"joint": error.joint, "problem": str(error)}
                 what = Sentence("{joint} reaches its limit ({problem}); start in another configuration", **values)
-                return self.end("joint limit", begin, what, error)
+                return self.end_error("joint limit", begin, what, error)
         unreachable = self._unreachable(q, begin)
         if unreachable is not None:
             what = Sentence("its waypoint cannot be reached: {problem}", problem=str(unreachable))
-            return self.end("unreachable", begin, what, unreachable)
+            return self.end_error("unreachable", begin, what, unreachable)
         if self._singularity(q[None])[0] < 2.0 * SINGULAR:
             return self._singular(begin, q)
         return self._elsewhere(q, begin, end)
@@ -219,7 +223,7 @@ class Branch:
             measure=float(self._singularity(q[None])[0]),
             least=str(SINGULAR),
         )
-        return self.end("singularity", s, what)
+        return self.end_error("singularity", s, what)
 
     def _unreachable(self, q: np.ndarray, s: float) -> UnreachableError | None:
         """Return by how much the next waypoint is out of reach, if the path leaves the reach just behind `s`; otherwise None."""
@@ -244,15 +248,15 @@ class Branch:
         try:
             other = self._inverse.nearest(self.path.pose(end), seed)
         except PoseRangeError as error:
-            return self.end("joint limit", begin, str(error), error)
+            return self.end_error("joint limit", begin, str(error), error)
         except UnreachableOrientationError as error:
-            return self.end("unreachable", begin, str(error), error)
+            return self.end_error("unreachable", begin, str(error), error)
         except NotFoundError as error:
-            return self.end("not found", begin, str(error), error)
+            return self.end_error("not found", begin, str(error), error)
         now, then = str(self._inverse.configuration(seed)), str(other.configuration)
         what = Sentence(
             "the next pose needs another configuration ({now} here, {then} there); start in that one or move the path",
             now=now,
             then=then,
         )
-        return self.end("flip", begin, what)
+        return self.end_error("flip", begin, what)

@@ -111,13 +111,13 @@ def _divided(path: np.ndarray) -> np.ndarray:
 
 def _corners(points: np.ndarray) -> np.ndarray:
     """Return the path without the points between two others that lie on the straight line between them."""
-    kept = [0]
+    corners = [0]
     for index in range(1, len(points) - 1):
-        before, after = points[index] - points[kept[-1]], points[index + 1] - points[kept[-1]]
+        before, after = points[index] - points[corners[-1]], points[index + 1] - points[corners[-1]]
         sizes = np.linalg.norm(before) * np.linalg.norm(after)
         if sizes - before @ after > 1e-12 * sizes:
-            kept.append(index)
-    return points[[*kept, len(points) - 1]]
+            corners.append(index)
+    return points[[*corners, len(points) - 1]]
 
 
 #: The search itself checks motions with a step so many times as long as what is asked of its path.
@@ -177,7 +177,7 @@ class OmplSearch:
         ou.RNG.setSeed(query.seed)
         information = _space_information(query, validator)
         goals = query.goals[:1] if issubclass(self._kind, og.PRM) else query.goals
-        problem = _problem(information, query.start, goals)
+        problem = _problem_definition(information, query.start, goals)
         search = self._kind(information)
         search.setProblemDefinition(problem)
         search.setup()
@@ -207,7 +207,9 @@ def _space_information(query: PathQuery, validator: MotionValidator) -> ob.Space
     return information
 
 
-def _problem(information: ob.SpaceInformation, start: np.ndarray, goals: Sequence[np.ndarray]) -> ob.ProblemDefinition:
+def _problem_definition(
+    information: ob.SpaceInformation, start: np.ndarray, goals: Sequence[np.ndarray]
+) -> ob.ProblemDefinition:
     problem = ob.ProblemDefinition(information)
     problem.addStartState(_state(information, start))
     targets = ob.GoalStates(information)

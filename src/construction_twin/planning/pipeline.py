@@ -101,7 +101,7 @@ def way_back(path: ExecutedPath, present: JointValues, robot: RobotModel) -> Tra
     if path.trajectory.joint_names != tuple(robot.joint_names):
         names = {"found": ", ".join(path.trajectory.joint_names), "joints": ", ".join(robot.joint_names)}
         raise PlanningError(Sentence("the executed path is one of {found}; expected {joints}", **names))
-    entry = path.entry(pose)
+    entry = path.nearest_point(pose)
     if entry.distance > LARGEST_ENTRY:
         values = {"away": Quantity(entry.distance, "rad"), "most": Quantity(LARGEST_ENTRY, "rad")}
         far = Sentence("a joint is {away} (or mm) beside the executed path, at most {most}; free it by hand", **values)
@@ -162,7 +162,7 @@ class PlanningPipeline:
         # kinematics, collision worlds and OMPL are not thread-safe
         self._busy = threading.Lock()
         self._scene: Scene | None = None
-        self._problem: SceneError | None = None
+        self._scene_fault: SceneError | None = None
         self._scene_changed = threading.Condition()
         self._world: CollisionWorld | None = None
 
@@ -174,25 +174,27 @@ class PlanningPipeline:
     def set_scene(self, scene: Scene) -> None:
         """Use a scene from now on; a plan that is being made in another one will be refused. Returns at once."""
         with self._scene_changed:
-            self._scene, self._problem = scene, None
+            self._scene, self._scene_fault = scene, None
             self._scene_changed.notify_all()
 
-    def refuse_scene(self, problem: SceneError) -> None:
-        """Note that the scene has changed to an unusable one: nothing can be planned until the next scene."""
+    def refuse_scene(self, fault: SceneError) -> None:
+        """Refuse plans until the next scene: the present one is unusable."""
         with self._scene_changed:
-            self._scene, self._problem = None, problem
+            self._scene, self._scene_fault = None, fault
             self._scene_changed.notify_all()
 
-    def forget_scene(self, seen: Scene | None) -> None:
-        """Drop a scene whose publisher is gone; no effect if another scene has arrived since `seen` was read."""
+    def forget_scene(self, stale: Scene | None) -> None:
+        """Drop a scene whose publisher is gone; no effect if another scene has arrived since `stale` was read."""
         with self._scene_changed:
-            if self._scene is seen:
+            if self._scene is stale:
                 self._scene = None
 
     def wait_for_scene(self, timeout: float) -> None:
         """Wait for the first scene; NoSceneError if none arrives within `timeout` [s]."""
         with self._scene_changed:
-            if not self._scene_changed.wait_for(lambda: self._scene is not None or self._problem is not None, timeout):
+            if not self._scene_changed.wait_for(
+                lambda: self._scene is not None or self._scene_fault is not None, timeout
+            ):
                 raise NoSceneError(self._source)
 
     def to_joints(self, start: JointValues, goal: JointValues, request: PlanRequest | None = None) -> Plan:
@@ -215,12 +217,12 @@ class PlanningPipeline:
         A request's duration and number of waypoints are not used, here and in `through`.
         """
 
-        def make(world: CollisionWorld) -> Trajectory:
+        def build(world: CollisionWorld) -> Trajectory:
             bounds = self._settings.bounds
             motion = plan_cartesian(start, waypoints, self._solver, world, speed, *self._scales(request), bounds)
             return motion.trajectory
 
-        return self._in_scene(lambda world: self._checked(make, "cartesian", request, world))
+        return self._in_scene(lambda world: self._checked(build, "cartesian", request, world))
 
     def through(self, start: JointValues, waypoints: Waypoints, request: PlanRequest, retime: bool = False) -> Plan:
         """Plan a motion through joint waypoints made elsewhere; see `waypoints.plan_waypoints`.
@@ -229,12 +231,12 @@ class PlanningPipeline:
         the reason; otherwise they are refused.
         """
 
-        def make(world: CollisionWorld) -> Trajectory:
+        def build(world: CollisionWorld) -> Trajectory:
             return plan_waypoints(waypoints, start, self._robot, *self._scales(request), self._settings.bounds)
 
         def checked(world: CollisionWorld) -> Plan:
             try:
-                return self._checked(make, "waypoints", request, world, waypoints.times is not None)
+                return self._checked(build, "waypoints", request, world, waypoints.times is not None)
             except WaypointTimesError as error:
                 if not retime:
                     raise
@@ -254,8 +256,8 @@ class PlanningPipeline:
             measured = recheck(timed.trajectory, self._robot, world, self._clock, timed.usage)
         except CollisionError as error:
             return self._along_lines(path, request, world, why, error, timed)
-        made = f"waypoints, timed anew ({why})"
-        plan = request.plan(made, planning_time, timed.trajectory, measured, world.scene.hash)
+        planner = f"waypoints, timed anew ({why})"
+        plan = request.plan(planner, planning_time, timed.trajectory, measured, world.scene.hash)
         return replace(plan, retimed=why)
 
     def _along_lines(
@@ -273,11 +275,11 @@ class PlanningPipeline:
             place, contact = found
             on_way = path.way_to(min(int(place) + 1, len(path.rows) - 1))
             raise RetimedCollisionError(contact.between, on_way, why, lines_free=False) from error
-        assert timed.passed is not None and path.times is not None and error.time is not None
-        kept = np.flatnonzero(distinct(path.positions))
-        way = path.way_to(int(kept[np.clip(np.searchsorted(timed.passed, error.time), 1, len(kept) - 1)]))
+        assert timed.passing_times is not None and path.times is not None and error.time is not None
+        rows = np.flatnonzero(distinct(path.positions))
+        way = path.way_to(int(rows[np.clip(np.searchsorted(timed.passing_times, error.time), 1, len(rows) - 1)]))
         first, second = error.between
-        told = Sentence(
+        retimed = Sentence(
             "{why}; on the straight lines between the points, with rounded corners, because on a curve "
             "through them {first} touches {second} ({where})",
             why=why,
@@ -286,12 +288,12 @@ class PlanningPipeline:
             where=way,
         )
         # of equal points at the end the last one is the goal, and its time the motion's
-        kept[-1] = len(path.rows) - 1
-        made = f"waypoints, timed anew ({told})"
-        plan = self._planner.along_lines(path.positions[kept], path.times[kept], request, world, made)
+        rows[-1] = len(path.rows) - 1
+        planner = f"waypoints, timed anew ({retimed})"
+        plan = self._planner.along_lines(path.positions[rows], path.times[rows], request, world, planner)
         if plan is None:
             raise RetimedCollisionError((first, second), way, why, lines_free=True) from error
-        return replace(plan, retimed=told)
+        return replace(plan, retimed=retimed)
 
     def work(self, start: JointValues, task: str, segments: Sequence[WorkSegment], request: PlanRequest) -> Plan:
         """Join the segments of a task to a work plan and check each in its scene; see `work_plan.plan_work`."""
@@ -305,13 +307,13 @@ class PlanningPipeline:
     ) -> Plan:
         """Plan the way back along an executed path, as a work plan of one engaged segment; see the function `way_back`."""
 
-        def make(world: CollisionWorld) -> Plan:
+        def build(world: CollisionWorld) -> Plan:
             motion = way_back(path, start, self._robot)
             segment = WorkSegment(WAY_BACK, motion, True, requires)
             bounds = self._settings.bounds
             return plan_work(task, [segment], start, request, world, bounds, self._clock, WAY_BACK)
 
-        return self._in_scene(make)
+        return self._in_scene(build)
 
     def _scales(self, request: PlanRequest) -> tuple[float, float | None]:
         speed_scale = self._settings.speed_scale if request.speed_scale is None else request.speed_scale
@@ -319,22 +321,22 @@ class PlanningPipeline:
 
     def _checked(
         self,
-        make: Callable[[CollisionWorld], Trajectory],
+        build: Callable[[CollisionWorld], Trajectory],
         planner: str,
         request: PlanRequest,
         world: CollisionWorld,
         given_times: bool = False,
     ) -> Plan:
         began = self._clock()
-        trajectory = make(world)
+        trajectory = build(world)
         planning_time = self._clock() - began
         sampled = sampled_usage(trajectory, self._robot, given_times)
         measured = recheck(trajectory, self._robot, world, self._clock, sampled)
         return request.plan(planner, planning_time, trajectory, measured, world.scene.hash)
 
-    def _in_scene(self, make: Callable[[CollisionWorld], Plan]) -> Plan:
+    def _in_scene(self, build: Callable[[CollisionWorld], Plan]) -> Plan:
         with self._busy:
-            plan = make(self._present_world())
+            plan = build(self._present_world())
             with self._scene_changed:
                 present = self._scene.hash if self._scene is not None else "unknown"
             if plan.scene != present:
@@ -343,9 +345,9 @@ class PlanningPipeline:
 
     def _present_world(self) -> CollisionWorld:
         with self._scene_changed:
-            scene, problem = self._scene, self._problem
-        if problem is not None:
-            raise problem
+            scene, fault = self._scene, self._scene_fault
+        if fault is not None:
+            raise fault
         if scene is None:
             raise NoSceneError(self._source)
         if self._world is None:

@@ -153,8 +153,8 @@ class Planner:
         began = self._clock()
         begin, end = self._joint_vector("start", start), self._joint_vector("goal", goal)
         self._check_request(request)
-        _demand_free(begin, world, "the start")
-        _demand_free(end, world, "the goal")
+        _require_free(begin, world, "the start")
+        _require_free(end, world, "the goal")
         return self._plan(begin, [end], request, world, began)
 
     def plan_to_pose(
@@ -170,12 +170,12 @@ class Planner:
         began = self._clock()
         begin = self._joint_vector("start", start)
         self._check_request(request)
-        _demand_free(begin, world, "the start")
+        _require_free(begin, world, "the start")
         wanted = Configuration.parse(configuration) if configuration.strip() else None
         goals = [solution.q for solution in self._solver.all(pose, begin, wanted)]
         free = [goal for goal in goals if world.is_free(goal)]
         if not free:
-            _demand_free(goals[0], world, Sentence("the goal"))
+            _require_free(goals[0], world, Sentence("the goal"))
         return self._plan(begin, free, request, world, began)
 
     def _joint_vector(self, name: str, values: JointValues) -> np.ndarray:
@@ -310,7 +310,7 @@ class Planner:
         return None
 
 
-def _demand_free(q: np.ndarray, world: CollisionWorld, where: str) -> None:
+def _require_free(q: np.ndarray, world: CollisionWorld, where: str) -> None:
     contact = world.contact(q)
     if contact is not None:
         raise CollisionError(contact.between, where)

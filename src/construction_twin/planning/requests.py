@@ -60,7 +60,7 @@ class PlanRequests:
         self._busy = threading.Lock()
 
     def on_verdict(self, plan_id: str) -> None:
-        """Take that a plan is not, or no longer, under review."""
+        """Record that a plan is decided."""
         if plan_id in self._newest.values():
             self._decided.set()
 
@@ -72,10 +72,10 @@ class PlanRequests:
     ) -> Answer:
         """Read what a request refers to, then make and publish a plan, with its changes of the scene, which `read` may fill in."""
         try:
-            make = read()  # before taking the lock, so that no request waits while another one reads its file
+            plan_motion = read()  # before taking the lock, so that no request waits while another one reads its file
             with self._busy:
                 self._begin()
-                return self._published(make(), asked, changes)
+                return self._published(plan_motion(), asked, changes)
         except ConstructionTwinError as error:
             return _failed(error, str(error))
         except (ArithmeticError, MemoryError, ValueError) as error:
@@ -87,16 +87,16 @@ class PlanRequests:
         motion = plan.source, plan.hash, plan.scene
         # the node `work` waits for a new plan of its task, or of the way back
         plan_id = "" if plan.segments else self._newest.get(motion, "")
-        made: Plan | None = None
+        new_plan: Plan | None = None
         if plan_id and not self._decided.wait(VERDICT_TIME):
             self.repeated += 1
             sentence = f"plan {plan_id} for {plan.source!r}, the same motion, is still waiting for review"
         else:
             self._decided.clear()  # before it is published: its verdict may come at once
-            made, plan_id, self._newest = plan, plan.id, {motion: plan.id}
+            new_plan, plan_id, self._newest = plan, plan.id, {motion: plan.id}
             sentence = _sentence(plan)
         answer = Answer(True, sentence, plan_id, plan.hash, plan.trajectory.duration, retimed=plan.retimed)
-        self._publish(made, changes, asked, answer)
+        self._publish(new_plan, changes, asked, answer)
         return answer
 
 

@@ -18,7 +18,7 @@ from types import ModuleType
 import numpy as np
 
 from construction_twin.core.sentences import Sentence
-from construction_twin.planning.curves import JointCurve, Pieces
+from construction_twin.planning.curves import JointCurve, PiecewisePolynomial
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.motion_errors import PlanningError
 
@@ -90,7 +90,7 @@ class TimeScaling:
         phases: The jerk is constant on each piece: a quintic that begins and ends in one is the motion itself.
     """
 
-    pieces: Pieces
+    pieces: PiecewisePolynomial
     blur: float
     phases: bool = False
 
@@ -142,7 +142,7 @@ class RestToRest:
         knots, coefficients, end = _integrated(h, np.zeros_like(h), jerk, begin)
         # what a phase that was left out would have added
         coefficients *= self.distance / end
-        return TimeScaling(Pieces(knots, coefficients), 0.0, True)
+        return TimeScaling(PiecewisePolynomial(knots, coefficients), 0.0, True)
 
 
 def straight_time_scaling(curve: JointCurve, limits: TimeScalingLimits, top_speed: float = math.inf) -> TimeScaling:
@@ -185,7 +185,7 @@ class TimeScalingSearch:
             self._first_window = self._window(fastest)
         return smoothed(fastest, self._first_window, JERK_RISE)
 
-    def _fastest(self) -> Pieces:
+    def _fastest(self) -> PiecewisePolynomial:
         grid, length = self._grid, self._grid[-1]
         # toppra's tolerances are absolute, so the curve is scaled to length 1. With time in units of sqrt(length) the
         # accelerations do not change
@@ -202,9 +202,9 @@ class TimeScalingSearch:
         ds = np.diff(grid)
         half_acceleration = 0.25 * (speed[1:] ** 2 - speed[:-1] ** 2) / ds
         times = np.concatenate(([0.0], np.cumsum(2.0 * ds / both)))
-        return Pieces(times, np.stack((half_acceleration, speed[:-1], grid[:-1])))
+        return PiecewisePolynomial(times, np.stack((half_acceleration, speed[:-1], grid[:-1])))
 
-    def _window(self, fastest: Pieces) -> float:
+    def _window(self, fastest: PiecewisePolynomial) -> float:
         """Return the first smoothing window for which the motion is shortest after it is slowed to the jerk limit.
 
         A switch between full acceleration and full deceleration needs twice the window of a switch to or from constant
@@ -228,7 +228,7 @@ class TimeScalingSearch:
         return best[1]
 
 
-def smoothed(s_over_time: Pieces, first: float, second: float) -> TimeScaling:
+def smoothed(s_over_time: PiecewisePolynomial, first: float, second: float) -> TimeScaling:
     """Average a piecewise quadratic s(t), from t = 0, over two windows in time, one after the other [s]; longer by both.
 
     d2s/dt2 of the result is a difference of four values of s divided by the windows, hence quadratic between shifted
@@ -245,13 +245,13 @@ def smoothed(s_over_time: Pieces, first: float, second: float) -> TimeScaling:
     start, middle, stop = ((s0 - s1) - (s2 - s3)) / (first * second)
     curve = 2.0 * (start - 2.0 * middle + stop) / h**2
     slope = (4.0 * middle - 3.0 * start - stop) / h
-    return TimeScaling(Pieces(*_integrated(h, curve, slope, start)[:2]), 0.5 * (first + second))
+    return TimeScaling(PiecewisePolynomial(*_integrated(h, curve, slope, start)[:2]), 0.5 * (first + second))
 
 
 def _integrated(
     h: np.ndarray, square: np.ndarray, linear: np.ndarray, constant: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Integrate d2s/dt2 from rest at s = 0; return knots and coefficients of s, as `Pieces` takes them, and s at the end.
+    """Integrate d2s/dt2 from rest at s = 0; return knots and coefficients of s, for a `PiecewisePolynomial`, and s at the end.
 
     Args:
         h: Shape (k,). Durations of the pieces [s].

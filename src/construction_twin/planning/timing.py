@@ -121,7 +121,7 @@ def timed_path(
     path = check_path(path, robot)
     fractions = VELOCITY_FRACTION * speed_scale, ACCELERATION_FRACTION * acceleration_scale
     request = _Request(robot, duration, *fractions, waypoints, bounds)
-    pace, ends, inside = np.array(robot.velocity), path[[0, -1]], _off_the_edge(path, robot)
+    pace, ends, inside = np.array(robot.velocity), path[[0, -1]], _inside_edge(path, robot)
     if asked is not None:
         at = parameters(path, pace)
         request = replace(request, asked=(at, asked), local_slowing=PACE_SLOWING, local_rounds=PACE_ROUNDS)
@@ -183,12 +183,12 @@ class TimedPath:
     """A trajectory with its use of the limits, if that was measured.
 
     Attributes:
-        passed: When it passes the points whose times were given [s]; None where none were. Of equal points only the first counts.
+        passing_times: Of the points whose times were given [s]; None: none were. Of equal points only the first counts.
     """
 
     trajectory: Trajectory
     usage: SampledUsage | None
-    passed: np.ndarray | None = None
+    passing_times: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,15 +227,15 @@ class _Request:
         timed = self.timed(curve, ends)
         minimum = timed.trajectory.duration
         if self.duration is None:
-            return TimedPath(timed.trajectory, timed.usage, self._passed(timed.scaling, timed.stretch))
+            return TimedPath(timed.trajectory, timed.usage, self._passing_times_asked(timed.scaling, timed.stretch))
         if self.duration < minimum:
             # rounded up, so that a request for the duration in the message succeeds
             raise DurationError(self.duration, math.ceil(minimum * 1e3) / 1e3)
         stretch = self.duration / timed.scaling.duration
-        slower = self._way(curve, timed.scaling, stretch, ends, self.duration)
-        return TimedPath(slower.trajectory(self.robot), None, self._passed(timed.scaling, stretch))
+        slower = self._sampled_motion(curve, timed.scaling, stretch, ends, self.duration)
+        return TimedPath(slower.trajectory(self.robot), None, self._passing_times_asked(timed.scaling, stretch))
 
-    def _passed(self, scaling: TimeScaling, stretch: float) -> np.ndarray | None:
+    def _passing_times_asked(self, scaling: TimeScaling, stretch: float) -> np.ndarray | None:
         return None if self.asked is None else stretch * _passing_times(scaling, self.asked[0])
 
     def timed(self, curve: JointCurve, ends: np.ndarray, top_speed: float = math.inf) -> TimedCurve:
@@ -251,7 +251,7 @@ class _Request:
         scaling, early = search.find(), np.ones(1)
         for rounds_left in range(self.local_rounds, -1, -1):
             self.bounds.check(scaling.duration)
-            way = _Way.along(curve, scaling, self._times(scaling, scaling.duration))
+            way = _SampledMotion.along(curve, scaling, self._times(scaling, scaling.duration))
             factor = way.too_fast(limits)
             if self.asked is not None:
                 passed = _passing_times(scaling, self.asked[0])
@@ -288,7 +288,7 @@ class _Request:
         for _ in range(STRETCH_ROUNDS):
             if self.whole_cycles:
                 stretch = math.ceil(stretch * scaling.duration / CYCLE - 1e-6) * CYCLE / scaling.duration
-            way = self._way(curve, scaling, stretch, ends, count=count)
+            way = self._sampled_motion(curve, scaling, stretch, ends, count=count)
             factor = 1.0 if known and len(way.times) == count else float(np.max(way.too_fast(limits)))
             known = False
             if factor <= 1.0:
@@ -309,7 +309,7 @@ class _Request:
         acceleration = float(np.max(sampled.acceleration)) / (WITHIN * self.acceleration_fraction)
         return max(velocity, math.sqrt(acceleration), math.cbrt(float(np.max(sampled.jerk))))
 
-    def _way(
+    def _sampled_motion(
         self,
         curve: JointCurve,
         scaling: TimeScaling,
@@ -317,27 +317,27 @@ class _Request:
         ends: np.ndarray,
         duration: float | None = None,
         count: int | None = None,
-    ) -> _Way:
+    ) -> _SampledMotion:
         """Return the waypoints of a time scaling, `stretch` times slower, at rest at the ends; times to the nanosecond."""
         duration = stretch * scaling.duration if duration is None else duration
         self.bounds.check(duration)
         times = self._times(scaling, duration, count)
         times = whole_nanoseconds(times)
-        way = _Way.along(curve, scaling, times / stretch)
+        way = _SampledMotion.along(curve, scaling, times / stretch)
         velocities, accelerations = way.velocities / stretch, way.accelerations / stretch**2
         way.positions[0], way.positions[-1] = ends
         velocities[[0, -1]] = accelerations[[0, -1]] = 0.0
         return replace(way, times=times, velocities=velocities, accelerations=accelerations)
 
-    def _times(self, scaling: TimeScaling, duration: float, kept: int | None = None) -> np.ndarray:
+    def _times(self, scaling: TimeScaling, duration: float, faster_count: int | None = None) -> np.ndarray:
         """Return the times of the waypoints of a motion that is as long as `duration` [s].
 
         Args:
-            kept: Number of waypoints of a motion that is little faster: the quintics of as many are the same, only slower.
+            faster_count: Number of waypoints of a motion that is little faster: the quintics of as many are the same, only slower.
         """
         count = self.waypoints or max(MINIMUM_WAYPOINTS, math.ceil(duration / self.spacing) + 1)
-        if kept is not None and count <= SPACING_KEPT * kept:
-            count = kept
+        if faster_count is not None and count <= SPACING_KEPT * faster_count:
+            count = faster_count
         self.bounds.check(duration, count)
         if self.waypoints is not None or not scaling.phases:
             return np.linspace(0.0, duration, count)
@@ -354,7 +354,7 @@ class _Request:
 
 
 @dataclass(frozen=True, eq=False)
-class _Way:
+class _SampledMotion:
     """Waypoints of a motion along a curve: times [s], parameter of the curve and its derivative by time, and the joints' state."""
 
     times: np.ndarray
@@ -365,7 +365,7 @@ class _Way:
     accelerations: np.ndarray
 
     @classmethod
-    def along(cls, curve: JointCurve, scaling: TimeScaling, times: np.ndarray) -> _Way:
+    def along(cls, curve: JointCurve, scaling: TimeScaling, times: np.ndarray) -> _SampledMotion:
         """Return the states at some times [s]."""
         s, speed, change = scaling.pieces.states(times)
         s = np.minimum(np.maximum(s, 0.0), curve.length)
@@ -393,7 +393,7 @@ class _Way:
         return Trajectory(robot.joint_names, self.times, self.positions, self.velocities, self.accelerations)
 
 
-def _slower(scaling: TimeScaling, way: _Way, factor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _slower(scaling: TimeScaling, way: _SampledMotion, factor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the largest ds/dt over s that slows the present motion by the factors; inf where it is not too fast.
 
     Around a time that is too fast, the motion is slowed over the half-width of the smoothing on both sides, because the smoothing
@@ -405,9 +405,9 @@ def _slower(scaling: TimeScaling, way: _Way, factor: np.ndarray) -> tuple[np.nda
     return way.s, np.where(around > 1.0, way.speed / around, math.inf)
 
 
-def _asked_times(times: np.ndarray, kept: np.ndarray) -> np.ndarray:
+def _asked_times(times: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Return the times of the points that are kept; a pause at one of them belongs to the way to the next."""
-    asked = times[kept]
+    asked = times[rows]
     asked[-1] = times[-1]
     return asked
 
@@ -434,7 +434,7 @@ def _between(knots: np.ndarray) -> np.ndarray:
     return np.concatenate([(knots[:-1, None] + np.diff(knots)[:, None] * [0.0, 0.25, 0.5, 0.75]).ravel(), knots[-1:]])
 
 
-def _off_the_edge(path: np.ndarray, robot: RobotModel) -> np.ndarray:
+def _inside_edge(path: np.ndarray, robot: RobotModel) -> np.ndarray:
     """Return the path with its inner points at least `EDGE` inside the range."""
     inside = path.copy()
     inside[1:-1] = np.clip(path[1:-1], np.array(robot.lower) + EDGE, np.array(robot.upper) - EDGE)

@@ -317,7 +317,7 @@ def _moving_end(waypoints: Waypoints, robot: RobotModel) -> WaypointTimesError |
     """Return why the times of a motion whose ends are nearly at rest must be replaced; WaypointsError where a joint moves there."""
     ends = [0, len(waypoints.rows) - 1]
 
-    def problem(row: int, joint: int, values: np.ndarray, per: str, late: bool = False) -> tuple:
+    def fault_at(row: int, joint: int, values: np.ndarray, per: str, late: bool = False) -> tuple:
         value = float(values[row, joint])
         name, found = robot.joint_names[joint], waypoints.units[joint].text(value, per)
         if late:
@@ -330,16 +330,16 @@ def _moving_end(waypoints: Waypoints, robot: RobotModel) -> WaypointTimesError |
         speeds = np.abs(waypoints.velocities[ends])
         late = LATE_STEP * (1.0 + LATE_ROUNDING) * np.array(robot.acceleration)
         for end, joint in np.argwhere(speeds > np.maximum(late, AT_REST))[:1].tolist():
-            raise WaypointsError(*problem(ends[end], joint, waypoints.velocities, "/s"))
+            raise WaypointsError(*fault_at(ends[end], joint, waypoints.velocities, "/s"))
         if np.any(speeds > AT_REST):
             end, joint = np.unravel_index(int(np.argmax(speeds)), speeds.shape)
-            found = WaypointTimesError(*problem(ends[end], int(joint), waypoints.velocities, "/s", late=True))
+            found = WaypointTimesError(*fault_at(ends[end], int(joint), waypoints.velocities, "/s", late=True))
     if found is None and waypoints.accelerations is not None:
         pushes = np.abs(waypoints.accelerations[ends])
         if np.any(pushes > AT_REST):
             end = int(np.argmax(np.any(pushes > AT_REST, axis=1)))
             found = WaypointTimesError(
-                *problem(ends[end], int(np.argmax(pushes[end])), waypoints.accelerations, "/s^2")
+                *fault_at(ends[end], int(np.argmax(pushes[end])), waypoints.accelerations, "/s^2")
             )
     return found
 

@@ -188,11 +188,11 @@ def _parts(segments: Sequence[WorkSegment], present: JointValues, robot: RobotMo
     return parts
 
 
-def _from_rest_to_rest(given: Trajectory, begin: np.ndarray, robot: RobotModel, at_present: bool) -> Trajectory:
-    if given.joint_names != tuple(robot.joint_names):
-        found, expected = ", ".join(given.joint_names), ", ".join(robot.joint_names)
+def _from_rest_to_rest(trajectory: Trajectory, begin: np.ndarray, robot: RobotModel, at_present: bool) -> Trajectory:
+    if trajectory.joint_names != tuple(robot.joint_names):
+        found, expected = ", ".join(trajectory.joint_names), ", ".join(robot.joint_names)
         raise TrajectoryError(f"its joints are {found}; expected {expected}, in this order")
-    velocities, accelerations = given.velocities.copy(), given.accelerations.copy()
+    velocities, accelerations = trajectory.velocities.copy(), trajectory.accelerations.copy()
     for name, unit, values in (("velocity", "/s", velocities), ("acceleration", "/s^2", accelerations)):
         for row, where in ((0, "begins"), (-1, "ends")):
             joint = int(np.argmax(np.abs(values[row])))
@@ -202,19 +202,19 @@ def _from_rest_to_rest(given: Trajectory, begin: np.ndarray, robot: RobotModel, 
                     f"it {where} with a {name} of {moves} of {robot.joint_names[joint]}; expected rest at both ends"
                 )
             values[row] = 0.0
-    missing = begin - given.positions[0]
+    missing = begin - trajectory.positions[0]
     _check_begin(missing, robot, at_present)
-    positions = given.positions.copy()
+    positions = trajectory.positions.copy()
     if at_present and missing.any():
         # the quintic from 1 to 0 added to quintics: the result is exact, and at rest at both ends as they are
-        x = (given.times / given.duration)[:, None]
+        x = (trajectory.times / trajectory.duration)[:, None]
         positions += missing * (1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2))
-        velocities -= missing * 30.0 * x**2 * (1.0 - x) ** 2 / given.duration
-        accelerations -= missing * 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / given.duration**2
-        positions[-1] = given.positions[-1]
+        velocities -= missing * 30.0 * x**2 * (1.0 - x) ** 2 / trajectory.duration
+        accelerations -= missing * 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / trajectory.duration**2
+        positions[-1] = trajectory.positions[-1]
         velocities[[0, -1]] = accelerations[[0, -1]] = 0.0
     positions[0] = begin
-    return Trajectory(given.joint_names, given.times, positions, velocities, accelerations)
+    return Trajectory(trajectory.joint_names, trajectory.times, positions, velocities, accelerations)
 
 
 def _check_begin(missing: np.ndarray, robot: RobotModel, at_present: bool) -> None:

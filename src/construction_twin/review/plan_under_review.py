@@ -72,7 +72,7 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Ending:
+class ExecutionEnd:
     """What became of an execution: ``finished``, ``stopped``, ``held`` or ``dropped``, and why."""
 
     plan: Plan
@@ -80,7 +80,7 @@ class Ending:
     reason: str
 
 
-def prove_hash(plan: Plan) -> None:
+def check_hash(plan: Plan) -> None:
     """Raise ReviewError when a plan's trajectory is not what its hash says. Too slow for the cycle's lock."""
     if content_hash(plan.trajectory, plan.task, plan.segments) != plan.hash:
         values = {"plan": plan.id, "hash": plan.hash}
@@ -136,10 +136,10 @@ class PlanUnderReview:
 
     def void(self, now: int) -> Plan | None:
         """Take the plan out of review, and refuse plans asked for before `now` that are not here yet; return what lay there."""
-        self.void_coming(now)
+        self.void_requests_before(now)
         return self.clear()
 
-    def void_coming(self, now: int) -> None:
+    def void_requests_before(self, now: int) -> None:
         """Refuse plans asked for before `now` [ns of the clock of `Plan.asked`] that are not here yet."""
         self._void_before = now
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from construction_twin.core.append_only import AppendOnlyFile, read_lines
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RecordError
 from construction_twin.core.reports import SessionRequest, SpeedChange
-from construction_twin.review.plan_under_review import APPROVED, Ending, Verdict
+from construction_twin.review.plan_under_review import APPROVED, ExecutionEnd, Verdict
 from construction_twin.robot.plan import Plan
 
 
@@ -36,11 +36,11 @@ class Release:
 
 
 #: What is recorded.
-Record = Verdict | Ending | Responsibility | Release | SessionRequest | SpeedChange
+Record = Verdict | ExecutionEnd | Responsibility | Release | SessionRequest | SpeedChange
 
 
 @dataclass(frozen=True)
-class Fate:
+class PlanRecord:
     """What became of one plan, as the record says.
 
     Attributes:
@@ -55,18 +55,18 @@ class Fate:
     under_review: bool = False
 
 
-def read_fate(path: str | Path, plan_id: str, source: str = "") -> Fate:
+def read_plan_record(path: str | Path, plan_id: str, source: str = "") -> PlanRecord:
     """Return what a review file, which may be being written, says of a plan by its id, or a part of its source."""
     try:
-        found = Fate(plan_id, False)
+        found = PlanRecord(plan_id, False)
         for fields in read_lines(path):
             named = fields.get("plan", "")
             if (plan_id and named == plan_id) or (source and source in fields.get("source", "")):
                 plan_id = plan_id or named
                 approved = bool(found.approved) or fields.get("verdict") == APPROVED
-                found = Fate(named, approved, fields.get("outcome", "") or found.outcome)
+                found = PlanRecord(named, approved, fields.get("outcome", "") or found.outcome)
     except (ConfigurationError, TypeError):
-        return Fate(plan_id, None)
+        return PlanRecord(plan_id, None)
     return found
 
 
@@ -107,7 +107,7 @@ class ReviewLog:
         self.file.append(self._clock(), _fields(record, self.responsibility))
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self.file.close()
 
     def _end_interrupted(self) -> None:
@@ -137,7 +137,7 @@ def _fields(record: Record, responsibility: Responsibility | None) -> dict:
         return named | {"before": record.before, "whose": record.whose}
     if isinstance(record, Release):
         return {"record": "release"} | asdict(record)
-    if isinstance(record, Ending):
+    if isinstance(record, ExecutionEnd):
         plan = record.plan
         named = {"record": "execution", "outcome": record.outcome, "plan": plan.id, "trajectory": plan.hash}
         return named | _task_fields(plan) | {"scene": plan.scene, "reason": record.reason}

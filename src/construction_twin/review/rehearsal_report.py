@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Annotated
 
-from construction_twin.core.records import OR_NULL, SECONDS, as_seconds, document
+from construction_twin.core.records import OR_NULL, SECONDS, json_value, seconds_field
 from construction_twin.core.sentences import Sentence
 from construction_twin.review.plan_under_review import NOT_REHEARSED, Rehearsed
 from construction_twin.robot.plan import Plan
@@ -131,14 +131,14 @@ class RehearsalReport:
     engine: str = ""
     remarks: tuple[str, ...] = ()
     hash: str = ""
-    stamp: Annotated[int, SECONDS] = as_seconds()
+    stamp: Annotated[int, SECONDS] = seconds_field()
 
 
 def is_whole(report: RehearsalReport) -> bool:
     """Return whether a report that came from elsewhere is what its hash says."""
     if report.state not in STATES or (report.state == PASSED and report.reasons):
         return False
-    return finished(report, report.took).hash == report.hash
+    return with_hash(report, report.took).hash == report.hash
 
 
 def has_finite_numbers(report: RehearsalReport) -> bool:
@@ -158,9 +158,9 @@ def _numbers(value: object) -> Iterator[float]:
         yield value
 
 
-def finished(report: RehearsalReport, took: float) -> RehearsalReport:
+def with_hash(report: RehearsalReport, took: float) -> RehearsalReport:
     """Return a report with its hash and the time it took [s]."""
-    content = document(replace(report, took=0.0, settle_took=0.0, hash="", stamp=0))
+    content = json_value(replace(report, took=0.0, settle_took=0.0, hash="", stamp=0))
     digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
     return replace(report, took=took, hash=digest)
 
@@ -184,7 +184,7 @@ class RehearsalCheck:
         while len(self._reports) > _KEPT:
             del self._reports[next(iter(self._reports))]
 
-    def of(self, plan: Plan) -> RehearsalReport | None:
+    def report_of(self, plan: Plan) -> RehearsalReport | None:
         """Return the result that is of exactly this plan, in the scene that it begins in, with the tool; None: there is none."""
         report = self._reports.get(plan.id)
         if report is None or (report.plan_hash, report.scene, report.tool) != (plan.hash, plan.scene, self._tool):
@@ -193,13 +193,13 @@ class RehearsalCheck:
 
     def awaits(self, plan: Plan) -> bool:
         """Return whether a result must come before a plan can be approved."""
-        return self.required and self.of(plan) is None
+        return self.required and self.report_of(plan) is None
 
-    def problem(self, plan: Plan) -> str:
+    def obstacle(self, plan: Plan) -> str:
         """Return why a plan must not be approved, as one sentence; empty: nothing is against it."""
         if not self.required:
             return ""
-        report = self.of(plan)
+        report = self.report_of(plan)
         if report is None:
             return Sentence("plan {plan} was not rehearsed yet, and it must be", plan=plan.id)
         if report.state == PASSED:
@@ -212,9 +212,9 @@ class RehearsalCheck:
             reason=first_reason(report.reasons),
         )
 
-    def on_record(self, plan: Plan, overridden: bool) -> Rehearsed | None:
+    def rehearsed(self, plan: Plan, overridden: bool) -> Rehearsed | None:
         """Return what the record of a verdict on a plan says of its rehearsal; None: there was none, and none was required."""
-        report = self.of(plan)
+        report = self.report_of(plan)
         if report is not None:
             return Rehearsed(report.state, report.hash, report.engine, overridden)
         return Rehearsed(NOT_REHEARSED, "", overridden=overridden) if self.required else None

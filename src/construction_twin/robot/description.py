@@ -187,7 +187,7 @@ def load_robot(urdf: str, description: Mapping) -> RobotModel:
         check_joint(joint)
     described = _describe_joints(parsed, joints)
     home, acceleration, jerk, offsets = zip(*(joint.si for joint in described))
-    lower, upper = zip(*(_range(joint, said) for joint, said in zip(joints, described)))
+    lower, upper = zip(*(_range(joint, described_joint) for joint, described_joint in zip(joints, described)))
     robot = RobotModel(
         name=parsed.name,
         urdf=urdf,
@@ -255,17 +255,19 @@ def check_joint(joint: Joint) -> None:
 
 def _range(joint: Joint, described: _RevoluteJoint | _PrismaticJoint) -> tuple[float, float]:
     """Return lower and upper end [rad], [m]: the URDF's, of a joint that turns without end the YAML's."""
-    given = described.range_deg if isinstance(described, _RevoluteJoint) else None
+    range_deg = described.range_deg if isinstance(described, _RevoluteJoint) else None
     where = f"robot/joints/{joint.name}/range_deg"
     if joint.joint_type != "continuous":
-        if given is not None:
-            raise ConfigurationError(where, list(given), "no range: the URDF has this joint's")
+        if range_deg is not None:
+            raise ConfigurationError(where, list(range_deg), "no range: the URDF has this joint's")
         return float(joint.limit.lower), float(joint.limit.upper)
-    if given is None or not given[0] < given[1]:
+    if range_deg is None or not range_deg[0] < range_deg[1]:
         raise ConfigurationError(
-            where, given and list(given), "[lower, upper] with lower < upper: the URDF lets this joint turn without end"
+            where,
+            range_deg and list(range_deg),
+            "[lower, upper] with lower < upper: the URDF lets this joint turn without end",
         )
-    lower, upper = radians(given)
+    lower, upper = radians(range_deg)
     return lower, upper
 
 
@@ -300,7 +302,7 @@ def _check_home(robot: RobotModel) -> None:
         raise ConfigurationError(key, found, f"a pose in range: {error}") from error
 
 
-def find_other_joints(model: URDF, chain: Collection[str], given: Mapping[str, float]) -> tuple[OtherJoint, ...]:
+def find_other_joints(model: URDF, chain: Collection[str], positions: Mapping[str, float]) -> tuple[OtherJoint, ...]:
     """Return the movable joints outside of the chain, in the URDF's order.
 
     They stand where ``other_joints`` of the robot YAML, `given`, says [rad], [m]; others at zero, or, where their range does not
@@ -308,11 +310,11 @@ def find_other_joints(model: URDF, chain: Collection[str], given: Mapping[str, f
     """
     others = {joint.name: joint for joint in model.joints if joint.joint_type != "fixed" and joint.name not in chain}
     settable = [name for name, joint in others.items() if joint.mimic is None and joint.joint_type in _UNITS]
-    for name, value in given.items():
-        _check_taker(name, value, others, settable)
+    for name, value in positions.items():
+        _check_settable(name, value, others, settable)
     found = []
     for name, joint in others.items():
-        place = _position(joint, others, chain, given)
+        place = _position(joint, others, chain, positions)
         still, follows = (None, place) if isinstance(place, Following) else (place, None)
         found.append(OtherJoint(name, joint.joint_type, still, joint.mimic.joint if joint.mimic else "", follows))
     return tuple(found)
@@ -332,7 +334,7 @@ def other_joints_text(others: Sequence[OtherJoint], base_link: str, tip_link: st
     return f"joints outside of the chain from {base_link} to {tip_link} {'; '.join(parts)}"
 
 
-def _check_taker(name: str, value: float, others: Mapping[str, Joint], settable: Sequence[str]) -> None:
+def _check_settable(name: str, value: float, others: Mapping[str, Joint], settable: Sequence[str]) -> None:
     where = f"robot/other_joints/{name}"
     if name not in others:
         expected = f"one of the joints outside of the chain that take a value: {list(settable)}"
@@ -345,7 +347,7 @@ def _check_taker(name: str, value: float, others: Mapping[str, Joint], settable:
 
 
 def _position(
-    joint: Joint, others: Mapping[str, Joint], chain: Collection[str], given: Mapping[str, float]
+    joint: Joint, others: Mapping[str, Joint], chain: Collection[str], positions: Mapping[str, float]
 ) -> float | Following:
     factor, offset, passed = 1.0, 0.0, [joint.name]
     while joint.mimic is not None:
@@ -362,14 +364,14 @@ def _position(
             return Following(leader, factor, offset)
         passed.append(leader)
         joint = others[leader]
-    return factor * _stands_at(joint, given.get(joint.name)) + offset
+    return factor * _checked_position(joint, positions.get(joint.name)) + offset
 
 
-def _stands_at(joint: Joint, given: float | None) -> float:
+def _checked_position(joint: Joint, position: float | None) -> float:
     if joint.joint_type not in _UNITS:
         return 0.0
     if joint.joint_type == "continuous":
-        return given or 0.0
+        return position or 0.0
     unit, limit = _UNITS[joint.joint_type], joint.limit
     where = f"URDF joint {joint.name} limit"
     if limit is None:
@@ -377,9 +379,9 @@ def _stands_at(joint: Joint, given: float | None) -> float:
     lower, upper = float(limit.lower or 0.0), float(limit.upper or 0.0)
     if not (math.isfinite(lower) and math.isfinite(upper) and lower <= upper):
         raise ConfigurationError(where, f"lower {lower}, upper {upper}", f"finite ones, lower <= upper [{unit}]")
-    if given is None:
+    if position is None:
         # as joint_state_publisher, which shows the twin's
         return 0.0 if lower <= 0.0 <= upper else (lower + upper) / 2.0
-    if not lower <= given <= upper:
-        raise ConfigurationError(f"robot/other_joints/{joint.name}", given, f"{lower:g} to {upper:g} [{unit}]")
-    return given
+    if not lower <= position <= upper:
+        raise ConfigurationError(f"robot/other_joints/{joint.name}", position, f"{lower:g} to {upper:g} [{unit}]")
+    return position

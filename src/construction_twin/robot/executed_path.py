@@ -20,7 +20,7 @@ LARGEST_ENTRY = 0.02
 
 
 @dataclass(frozen=True)
-class Entry:
+class NearestPoint:
     """The time of the point of a path that is nearest to a pose [s], of several passages the last, and the distance to it."""
 
     time: float
@@ -38,7 +38,7 @@ class ExecutedPath:
         """Return the poses on a grid of at most 4 ms up to a time, by default `end`; shape (k, n)."""
         return self.trajectory.sample_many(self._grid(self.end if until is None else until))[0]
 
-    def entry(self, pose: np.ndarray) -> Entry:
+    def nearest_point(self, pose: np.ndarray) -> NearestPoint:
         """Return where a pose, shape (n,), lies on the path or next to it."""
         times = self._grid(self.end)
         points = self.trajectory.sample_many(times)[0]
@@ -49,7 +49,7 @@ class ExecutedPath:
         last = near[breaks[-1] + 1 :] if len(breaks) else near
         best = int(last[np.argmin(distances[last])])
         time = times[best] + fractions[best] * (times[best + 1] - times[best])
-        return Entry(float(time), float(distances[best]))
+        return NearestPoint(float(time), float(distances[best]))
 
     def _grid(self, until: float) -> np.ndarray:
         return np.linspace(0.0, until, max(2, math.ceil(until / CYCLE) + 1))

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 import pydantic
 
-from construction_twin.core.errors import ConfigurationError, problem_of
+from construction_twin.core.errors import ConfigurationError, system_message
 from construction_twin.core.validation import configuration_error
 from construction_twin.robot.segments import Signal, Switch
 from construction_twin.robot.urdf import read_yaml
@@ -27,7 +27,7 @@ class _Strict(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
 
-class Place(_Strict):
+class FilePose(_Strict):
     """A pose in a file: `xyz` [m], and turns about the fixed x, y and z axes, in this order."""
 
     xyz: _Vector
@@ -96,7 +96,7 @@ class Tool(_Strict):
     """A tool. The keys of the file, each explained in config/tools/vacuum_frame.yaml."""
 
     name: _Name
-    tool0_T_tcp: Place
+    tool0_T_tcp: FilePose
     mass: _Positive
     payload: _Positive
     load: _Positive
@@ -150,7 +150,7 @@ def tool_hash(path: str | Path) -> str:
     try:
         return hashlib.sha256(Path(path).read_bytes()).hexdigest()
     except OSError as error:
-        raise ConfigurationError(str(path), problem_of(error), "a YAML file of a tool") from error
+        raise ConfigurationError(str(path), system_message(error), "a YAML file of a tool") from error
 
 
 def tool_of(description: object, where: str) -> Tool:

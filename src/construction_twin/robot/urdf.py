@@ -20,7 +20,7 @@ from urdf_parser_py.urdf import URDF, Joint
 from urdf_parser_py.xml_reflection.core import ParseError
 from xacro.substitution_args import ArgException
 
-from construction_twin.core.errors import ConfigurationError, problem_of
+from construction_twin.core.errors import ConfigurationError, system_message
 from construction_twin.robot.packages import Packages
 
 _LOG = logging.getLogger(__name__)
@@ -47,8 +47,8 @@ def xacro_arguments(text: str) -> dict[str, str]:
 class _Arguments(dict[str, str]):
     """The arguments that xacro expands a file with; remembers which ones the file asked for."""
 
-    def __init__(self, given: Mapping[str, str]):
-        super().__init__(given)
+    def __init__(self, arguments_read: Mapping[str, str]):
+        super().__init__(arguments_read)
         self.used: set[str] = set()
 
     def __contains__(self, name: object) -> bool:
@@ -63,17 +63,17 @@ class _Arguments(dict[str, str]):
 def expand_xacro(path: str | Path, arguments: Mapping[str, str] | None = None) -> str:
     """Expand a xacro file to URDF text, indented. ``$(find pkg)`` is answered by rospack."""
     read_text(path)  # xacro's own message for a missing file does not say what was expected
-    given = _Arguments(arguments or {})
+    arguments_read = _Arguments(arguments or {})
     try:
         with _packages_by_rospack():
-            document = xacro.process_file(str(path), mappings=given)
+            document = xacro.process_file(str(path), mappings=arguments_read)
     except xacro.XacroException as error:
         raise _refusal(str(path), error) from error
     except ExpatError as error:
         raise ConfigurationError(str(path), _found(str(path), error), "well-formed XML") from error
-    unknown = sorted(set(arguments or {}) - given.used)
+    unknown = sorted(set(arguments or {}) - arguments_read.used)
     if unknown:
-        known = sorted(given.used)
+        known = sorted(arguments_read.used)
         expected = (
             f"one of the arguments that the file has: {known}"
             if known
@@ -160,7 +160,7 @@ def read_text(path: str | Path) -> str:
     try:
         return Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(str(path), problem_of(error), "a readable text file") from error
+        raise ConfigurationError(str(path), system_message(error), "a readable text file") from error
 
 
 def read_yaml(path: str | Path, of_what: str = "") -> Any:

@@ -135,8 +135,8 @@ class RsiSessionRules:
         self._tolerances = setup.start_tolerances
         self._empty_telegrams = 0
 
-    def drifted(self, distance: str) -> str:
-        """See `SessionRules.drifted`."""
+    def drift_sentence(self, distance: str) -> str:
+        """See `SessionRules.drift_sentence`."""
         return Sentence(
             "{distance} off where ASPos was: a program of the controller moves the arm while a stream does; if ASPos "
             "contains the corrections, set reference to AIPos",
@@ -171,7 +171,7 @@ class RsiSessionRules:
             )
         return setpoint if self.follows else measured, ""
 
-    def restarted(
+    def restart_sign(
         self, telegram: Telegram, origin: tuple[float, ...], correction: tuple[float, ...], moving: bool
     ) -> str:
         """Return what shows that a program ended RSI and began it anew; "" for nothing. The correction is zero then."""
@@ -207,9 +207,9 @@ def check(setup: Setup) -> None:
     check_tool(setup.tool, setup.layout, _FILE)
 
 
-def layout_of(given: str) -> RsiLayout:
+def layout_of(path_or_text: str) -> RsiLayout:
     """Return the layout of an Ethernet XML, from its path or text (several lines)."""
-    return (read_ethernet_xml(given, _FILE) if "\n" in given else load_ethernet_xml(given)).layout
+    return (read_ethernet_xml(path_or_text, _FILE) if "\n" in path_or_text else load_ethernet_xml(path_or_text)).layout
 
 
 def reader(setup: Setup) -> Reader:

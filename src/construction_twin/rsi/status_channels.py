@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from construction_twin.core.sentences import Sentence, both
+from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.rsi.telegram import is_number_in_bytes
 
 #: Operating modes, as the STATUS object's type Mode_Op numbers them.
@@ -40,7 +40,7 @@ class RsiStatus:
     program: int | None = None
     override: float | None = None
 
-    def report(self) -> dict[str, str | float]:
+    def status_fields(self) -> dict[str, str | float]:
         """Return what is known, in words, and one sentence on why the arm may not move; "" for no reason."""
         found: dict[str, str | float] = {}
         if self.mode is not None:
@@ -64,7 +64,7 @@ class RsiStatus:
                 if self.override > 0.0
                 else Sentence("the override is 0 %: whether corrections act then is not known, set it to 100 %")
             )
-        return both(*parts)
+        return join_sentences(*parts)
 
 
 def status_channels(send: Sequence[str]) -> tuple[str, ...]:
@@ -98,8 +98,8 @@ class StatusReader:
             mode, program, override = [None if text is None else float(text) for text in texts]
             is_percentage = override is not None and 0.0 <= override <= 100.0
             self._status = RsiStatus(_whole(mode), _whole(program), override if is_percentage else None)
-            told = (self._status.mode, self._status.program, self._status.override)
-            self._unreadable = self._count - sum(value is not None for value in told)
+            values = (self._status.mode, self._status.program, self._status.override)
+            self._unreadable = self._count - sum(value is not None for value in values)
         return self._status, self._unreadable
 
 

@@ -68,9 +68,9 @@ class ToolReader:
         values: dict[str, tuple[bool, ...]] = {OUT: (), IN: ()}
         for (element, names), found in zip(self._wanted, texts):
             attributes = _ATTRIBUTE(found[0]) if len(found) == 1 else []
-            told = {name.decode(): _VALUES.get(value) for name, value in attributes}
-            read = [told.get(name) for name in names]
-            if len(told) != len(attributes) or None in read:
+            by_name = {name.decode(): _VALUES.get(value) for name, value in attributes}
+            read = [by_name.get(name) for name in names]
+            if len(by_name) != len(attributes) or None in read:
                 return None
             values[element] = tuple([value is True for value in read])
         return ToolReading(values[OUT], values[IN])

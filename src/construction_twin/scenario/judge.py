@@ -63,15 +63,15 @@ def trace_excesses(
     rest = (0.0,) * len(limits.names)
     found: list[Excess] = []
     last: TraceEntry | None = None
-    kept: TraceEntry | None = None
+    last_acknowledged: TraceEntry | None = None
     step = rest
     for index, entry in enumerate(entries):
         if last is None or entry.session != last.session:
-            last, kept, step = entry, None, rest
+            last, last_acknowledged, step = entry, None, rest
         elif entry.time_since(last) > round(cycle * 1000):
             step = rest
-        if entry.lost and kept is not None:
-            last, step = kept, rest
+        if entry.lost and last_acknowledged is not None:
+            last, step = last_acknowledged, rest
         new = tuple([q - before for q, before in zip(entry.position, last.position)])
         if entry.state in _LED:
             # the pose follows the controller's own motion: what it does, and what it does in a missed cycle, is not the gateway's
@@ -87,7 +87,7 @@ def trace_excesses(
             change = (new[axis] - step[axis]) / cycle**2
             if abs(change) > acceleration[axis] * (1 + _ROUNDING):
                 found.append(Excess(index, entry.ipoc, name, "acceleration", change, acceleration[axis]))
-        kept, last, step = last, entry, new
+        last_acknowledged, last, step = last, entry, new
     return found
 
 

@@ -23,7 +23,7 @@ from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.packages import with_mesh_files
 from construction_twin.scene.mesh_file import parse_mesh
-from construction_twin.scene.objects import Scene, SceneObject, listed, read_mesh_file
+from construction_twin.scene.objects import Scene, SceneObject, names_text, read_mesh_file
 from construction_twin.scene.triangle_mesh import surface
 
 #: A closed mesh is convex when no vertex lies further outside one of its faces than this fraction of its size.
@@ -188,7 +188,7 @@ class RobotBodies:
             raise SceneError(f"object {item.name!r} link", item.link, links)
         for name in item.touch:
             if name not in self.link_joints and (name not in objects or name == item.name):
-                others = f"another object of the scene: {listed(set(objects) - {item.name})}"
+                others = f"another object of the scene: {names_text(set(objects) - {item.name})}"
                 raise SceneError(f"object {item.name!r} touch", name, f"{links}, or {others}")
         if item.name in self.link_joints:
             raise SceneError("an object's name", item.name, "a name that no link of the robot has")
@@ -392,7 +392,7 @@ def measured(
     raise SceneError("two shapes that touch", "no depth that Coal can measure", "a pose 0.1 mm from there")
 
 
-def make_reliable(data: pinocchio.GeometryData, margins: Sequence[float] = ()) -> None:
+def configure_distances(data: pinocchio.GeometryData, margins: Sequence[float] = ()) -> None:
     """Have every answer depend on the pose alone, and no contact missed; set the distance that counts as contact of each pair [m].
 
     The warm start of the distance search is switched off, because it makes an answer depend on earlier ones. Contact points are

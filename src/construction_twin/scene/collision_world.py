@@ -28,7 +28,7 @@ MANY_BODIES = 128
 #: So far around the arm bodies are looked for first when a motion's clearance is measured among many [m].
 _NEAR = 0.1
 #: Worlds of single motions that are kept.
-_KEPT = 8
+_MOST_WORLDS = 8
 #: Poses that differ by no more than this in any joint follow each other as samples of one motion do [rad, m].
 _CLOSE = 0.03
 #: One pose stands for so many rows; the boxes are larger by the way to the others.
@@ -69,13 +69,13 @@ class CollisionWorld:
         if own is None:
             own = (*robot_bodies.bodies, *robot_bodies.place_all(scene))
         self._own, self._obstacles, self._only = own, obstacles, only
-        self._kept: dict[tuple[float, bytes], CollisionWorld] = {}
+        self._nearby_worlds: dict[tuple[float, bytes], CollisionWorld] = {}
 
     def with_scene(self, scene: Scene) -> CollisionWorld:
         """Return a world with the same robot, and the same other arm, in another scene; faster than building it from the robot."""
         return CollisionWorld(self._robot_bodies, scene, self.self_collision, obstacles=self._obstacles)
 
-    def of_touching(self) -> CollisionWorld | None:
+    def touching_world(self) -> CollisionWorld | None:
         """Return a world in which only the pairs are checked that `touch` leaves out here; None: there are none.
 
         Its padding is nothing: two bodies are in contact when one is in the other, and `clearance_of` tells how deep. For whoever
@@ -119,23 +119,23 @@ class CollisionWorld:
         few = bool(reached) or len(bodies) <= MANY_BODIES
         return PairChecks(self._robot_bodies, bodies, only + reached_pairs, few)
 
-    def _beside(self, qs: np.ndarray, gap: float) -> CollisionWorld:
+    def _near_motion(self, qs: np.ndarray, gap: float) -> CollisionWorld:
         """Return this world; of many bodies one without what is further than `gap` [m] and paddings from the arm in all rows."""
         if self._only is not None or len(self._near) <= MANY_BODIES:
             return self
         # the same motion is asked about more than once: for contacts, for its clearance
         gap = max(gap, _NEAR)
         key = (gap, np.asarray(qs).tobytes())
-        if key in self._kept:
-            return self._kept[key]
+        if key in self._nearby_worlds:
+            return self._nearby_worlds[key]
         paddings = [body.item.padding for body in self._near if body.item is not None]
         around = gap + self.scene.padding + max(paddings, default=0.0)
         own = tuple(self._near[index] for index in self._boxes.near(self._robot_bodies.rows(qs), around))
         only = checked_pairs(own, self.scene.padding, self.self_collision)
         world = CollisionWorld(self._robot_bodies, self.scene, self.self_collision, own, self._obstacles, only)
-        if len(self._kept) >= _KEPT:
-            self._kept.clear()
-        self._kept[key] = world
+        if len(self._nearby_worlds) >= _MOST_WORLDS:
+            self._nearby_worlds.clear()
+        self._nearby_worlds[key] = world
         return world
 
     def _within_reach(self, own: tuple[Body, ...]) -> tuple[Body, ...]:
@@ -188,7 +188,7 @@ class CollisionWorld:
 
     def contact(self, q: JointValues) -> Contact | None:
         """Return a pair that touches, or None where `is_free`."""
-        return self._beside(np.array([q]), 0.0)._checks.contact(q)
+        return self._near_motion(np.array([q]), 0.0)._checks.contact(q)
 
     def contacts(self, q: JointValues) -> list[Contact]:
         """Return every pair of names that touches; slower than `contact`."""
@@ -229,7 +229,7 @@ class CollisionWorld:
         world = self
         # poses far from each other come near most objects: all are checked
         if len(self._near) > MANY_BODIES and len(qs) > 1 and float(np.abs(np.diff(qs, axis=0)).max()) <= _CLOSE:
-            world = self._beside(qs, 0.0)
+            world = self._near_motion(qs, 0.0)
         return world._checks.first_blocked(qs)
 
     def clearance(self, q: JointValues, changing: bool = False) -> Clearance:
@@ -247,7 +247,7 @@ class CollisionWorld:
         of how far the bodies move, not by samples: nothing comes closer than its margin by more than half of
         `distance_bounds.RESOLUTION` (0.01 mm).
         """
-        world = self._beside(qs, 0.0)
+        world = self._near_motion(qs, 0.0)
         found, doubtful = world._checks.first_contact(self._robot_bodies.rows(qs))
         # what is not in `world` is far from all of the motion
         index = world._checks.first_blocked(qs[doubtful])
@@ -265,7 +265,7 @@ class CollisionWorld:
         """
         gap = _NEAR
         while True:
-            world = self._beside(qs, gap)
+            world = self._near_motion(qs, gap)
             clearance, place = world._checks.clearance_of(self._robot_bodies.rows(qs), changing)
             # all that was left out is further away than this
             if world is self or clearance.distance <= gap:

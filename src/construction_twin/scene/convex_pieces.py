@@ -48,7 +48,7 @@ _Plane = tuple[np.ndarray, float]
 
 
 @dataclass(frozen=True, eq=False)
-class Pieces:
+class ConvexPieces:
     """Convex pieces that together hold all of a mesh.
 
     Attributes:
@@ -63,7 +63,7 @@ class Pieces:
     whole: tuple[np.ndarray, np.ndarray] | None = None
 
 
-def convex_pieces(vertices: np.ndarray, triangles: np.ndarray) -> Pieces | None:
+def convex_pieces(vertices: np.ndarray, triangles: np.ndarray) -> ConvexPieces | None:
     """Return convex pieces of what a mesh encloses, the same for the same mesh; None: not closed, too fine, or too many pieces."""
     if len(triangles) > MOST_TRIANGLES:
         return None
@@ -73,7 +73,7 @@ def convex_pieces(vertices: np.ndarray, triangles: np.ndarray) -> Pieces | None:
 
 
 @lru_cache(maxsize=_KEPT)
-def _divided(corners: bytes, indices: bytes) -> Pieces | None:
+def _divided(corners: bytes, indices: bytes) -> ConvexPieces | None:
     vertices, triangles = np.frombuffer(corners).reshape(-1, 3), np.frombuffer(indices, dtype=np.int64).reshape(-1, 3)
     closed = solid(vertices, triangles)
     if closed is None:
@@ -86,7 +86,7 @@ def _divided(corners: bytes, indices: bytes) -> Pieces | None:
     if cells is not None:
         more = sum(hull_solid(points).volume() for points in cells) - closed.volume()
         if abs(more) <= HELD * closed.surface_area() and farthest_outside(vertices, cells) <= HELD:
-            return Pieces(tuple(cells))
+            return ConvexPieces(tuple(cells))
     covered = _covered(closed, min(_AIM, _AIM_SHARE * float(np.ptp(vertices, axis=0).max())))
     missing = closed.volume() - sum(part.body.volume() for part in covered)
     pieces = sorted((part.corners for part in covered), key=lambda one: np.round(one.min(axis=0), 6).tolist())
@@ -94,7 +94,9 @@ def _divided(corners: bytes, indices: bytes) -> Pieces | None:
         return None
     if farthest_outside(vertices, pieces) > HELD:
         return None
-    return Pieces(tuple(pieces), max(max(part.reach for part in covered), _excess(closed, pieces)), mesh_of(closed))
+    return ConvexPieces(
+        tuple(pieces), max(max(part.reach for part in covered), _excess(closed, pieces)), mesh_of(closed)
+    )
 
 
 def _excess(body: manifold3d.Manifold, pieces: Sequence[np.ndarray]) -> float:
@@ -126,7 +128,7 @@ def farthest_outside(points: np.ndarray, pieces: Sequence[np.ndarray]) -> float:
 def convex_cells(body: manifold3d.Manifold, most: int) -> list[np.ndarray] | None:
     """Return the corners of convex bodies that fill a closed body without overlaps; None: there would be more than `most`."""
     waiting = [body]
-    kept: list[np.ndarray] = []
+    convex: list[np.ndarray] = []
     while waiting:
         part = waiting.pop()
         corners, triangles = mesh_of(part)
@@ -134,13 +136,13 @@ def convex_cells(body: manifold3d.Manifold, most: int) -> list[np.ndarray] | Non
             continue
         hull = part.hull()
         if hull.volume() - part.volume() <= _SAME * hull.volume():
-            kept.append(mesh_of(hull)[0])
+            convex.append(mesh_of(hull)[0])
             continue
         plane = _largest_within(corners, triangles)
-        if plane is None or len(kept) + len(waiting) > 8 * most:
+        if plane is None or len(convex) + len(waiting) > 8 * most:
             return None
         waiting += part.split_by_plane(tuple(plane[:3]), float(plane[3]))
-    cells = _joined(kept)
+    cells = _merged(convex)
     return sorted(cells, key=lambda cell: np.round(cell.min(axis=0), 6).tolist()) if 0 < len(cells) <= most else None
 
 
@@ -165,7 +167,7 @@ def _largest_within(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray |
     return found
 
 
-def _joined(cells: list[np.ndarray]) -> list[np.ndarray]:
+def _merged(cells: list[np.ndarray]) -> list[np.ndarray]:
     """Join two bodies whose union is convex, until there are none."""
     alive = dict(enumerate(cells))
     volumes = {number: float(ConvexHull(cell).volume) for number, cell in alive.items()}

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import pydantic
 
-from construction_twin.core.files import read_file, write_whole
+from construction_twin.core.files import read_file, write_atomically
 from construction_twin.core.validation import wrong_value
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.scene.objects import Scene, SceneObject
@@ -75,7 +75,7 @@ class SceneFile:
         contents = {"run": self.run, "start": self.start.hash, "hash": scene.hash, "padding": scene.padding}
         contents["objects"] = _OBJECTS.dump_python(scene.objects, mode="json")
         try:
-            write_whole(self.path, json.dumps(contents, indent=1) + "\n")
+            write_atomically(self.path, json.dumps(contents, indent=1) + "\n")
         except OSError as error:
             expected = "a file that can be written: an edit that would not survive a restart is refused"
             raise SceneError(str(self.path), error.strerror, expected) from error

@@ -41,9 +41,9 @@ def find_home(world: CollisionWorld, rng: np.random.Generator) -> Home:
     """
     robot = world.robot
     chain = Chain(robot)
-    choices = [_choices(*joint) for joint in zip(robot.lower, robot.upper, robot.linear)]
+    choices = [_home_candidates(*joint) for joint in zip(robot.lower, robot.upper, robot.linear)]
     poses = np.unique([[rng.choice(values) for values in choices] for _ in range(_CANDIDATES)], axis=0)
-    order = np.argsort([-_worth(chain, pose) for pose in poses], kind="stable")
+    order = np.argsort([-_score(chain, pose) for pose in poses], kind="stable")
     free: list[Home] = []
     in_contact: dict[tuple[str, str], int] = {}
     for q in poses[order]:
@@ -66,7 +66,7 @@ def find_home(world: CollisionWorld, rng: np.random.Generator) -> Home:
     return next(home for home in free if home.clearance >= enough)
 
 
-def _choices(lower: float, upper: float, linear: bool) -> list[float]:
+def _home_candidates(lower: float, upper: float, linear: bool) -> list[float]:
     """Return the values at which a joint may stand at home."""
     low, high = lower + _FROM_ENDS * (upper - lower), upper - _FROM_ENDS * (upper - lower)
     middle = (lower + upper) / 2
@@ -79,8 +79,8 @@ def _choices(lower: float, upper: float, linear: bool) -> list[float]:
     return values or [math.radians(round(math.degrees(middle)))]
 
 
-def _worth(chain: Chain, q: np.ndarray) -> float:
-    """Return how good a home pose is without looking at contacts: larger is better."""
+def _score(chain: Chain, q: np.ndarray) -> float:
+    """Return the score of a home pose, contacts ignored: larger is better."""
     robot = chain.robot
     jacobian = chain.jacobian(q)
     jacobian[:3] /= max(chain.arm_length, 1e-6)

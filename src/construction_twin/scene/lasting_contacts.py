@@ -20,7 +20,7 @@ class LastingContact:
 
     Attributes:
         distance: At home [m]; negative: by how much they overlap.
-        kept: Distance that a moving link must keep [m]; 0 for a link that no joint moves.
+        margin: Distance that a moving link must keep [m]; 0 for a link that no joint moves.
         moves: Whether a joint moves the link. Such a pair is checked, so that nothing can be planned; with a base it is not
             checked.
     """
@@ -28,7 +28,7 @@ class LastingContact:
     name: str
     link: str
     distance: float
-    kept: float
+    margin: float
     moves: bool
 
     @property
@@ -43,7 +43,7 @@ class LastingContact:
             )
         found = f"{'overlap' if self.distance < 0.0 else 'are apart'} by {abs(self.distance) * 1e3:.1f} mm"
         return (
-            f"object {self.name!r} and link {self.link!r} {found}, expected {self.kept * 1e3:.1f} mm of clearance, in every pose "
+            f"object {self.name!r} and link {self.link!r} {found}, expected {self.margin * 1e3:.1f} mm of clearance, in every pose "
             "of the arm: nothing can be planned. Move the object, raise the arm or lower `padding`; if they may touch, add "
             f"`touch: [{self.link}]` to the object"
         )
@@ -70,6 +70,6 @@ def lasting_contacts(world: CollisionWorld) -> list[LastingContact]:
         still = {contact.between for contact in world.contacts(q)}
         pairs = [pair for pair in pairs if pair in still]
     for link, name in pairs:
-        kept = world.scene.padding + standing[name].padding
-        found.append(LastingContact(name, link, world.distance(world.robot.home, link, name), kept, True))
+        margin = world.scene.padding + standing[name].padding
+        found.append(LastingContact(name, link, world.distance(world.robot.home, link, name), margin, True))
     return found

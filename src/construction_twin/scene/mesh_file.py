@@ -63,10 +63,10 @@ def _absolute(contents: bytes) -> bytes:
         if kind == b"v":
             count += 1
         elif kind == b"f":
-            given = [int(word.split(b"/")[0]) for word in words]
-            indices = [count + 1 + index if index < 0 else index for index in given]
+            corners = [int(word.split(b"/")[0]) for word in words]
+            indices = [count + 1 + index if index < 0 else index for index in corners]
             if min(indices, default=1) < 1:
-                raise ValueError(f"a face of {given} after {count} vertices, which are counted from 1")
+                raise ValueError(f"a face of {corners} after {count} vertices, which are counted from 1")
             words = [b"%d" % index for index in indices]
         else:
             continue

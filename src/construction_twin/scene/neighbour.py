@@ -63,7 +63,7 @@ class Neighbour:
         self.name = name
         self._robot_bodies = RobotBodies(robot)
         self._root_T_root = pinocchio.SE3(root_T_root.rotation, root_T_root.position)
-        self._use(self._robot_bodies.bodies)
+        self._set_bodies(self._robot_bodies.bodies)
 
     def carrying(self, items: Iterable[SceneObject]) -> Neighbour:
         """Return the same robot with what its links carry; objects that stand in the world are left out."""
@@ -72,15 +72,15 @@ class Neighbour:
         other = object.__new__(Neighbour)
         other.__dict__.update(self.__dict__)
         carried = (body for item in items if item.link for body in self._robot_bodies.place(item, names))
-        other._use((*self._robot_bodies.bodies, *carried))
+        other._set_bodies((*self._robot_bodies.bodies, *carried))
         return other
 
-    def _use(self, bodies: tuple[Body, ...]) -> None:
+    def _set_bodies(self, bodies: tuple[Body, ...]) -> None:
         self._bodies = bodies
         self._standing: tuple[np.ndarray, tuple[Obstacle, ...]] | None = None
         self._levers, _ = body_levers(self._robot_bodies, bodies, self._robot_bodies.strokes)
 
-    def along(self, path: np.ndarray) -> tuple[Obstacle, ...]:
+    def space_along(self, path: np.ndarray) -> tuple[Obstacle, ...]:
         """Return the space that the arm occupies on a path, shape (m, n), between whose rows (4 ms) it moves within `ROUNDING`."""
         rows = self._robot_bodies.rows(np.atleast_2d(np.asarray(path, dtype=float)))
         steps = np.abs(np.diff(rows, axis=0)) @ self._levers
@@ -97,7 +97,7 @@ class Neighbour:
             copies += [Obstacle(owner, place, body.geometry, float(more)) for place, more in zip(placements, paddings)]
         return tuple(copies)
 
-    def between(self, start: Iterable[float], end: Iterable[float]) -> tuple[Obstacle, ...]:
+    def space_between(self, start: Iterable[float], end: Iterable[float]) -> tuple[Obstacle, ...]:
         """Return the space that the arm occupies at two poses and on the straight joint motion between them.
 
         For an arm whose measured pose lags behind its command: it may be anywhere between the two.
@@ -106,7 +106,7 @@ class Neighbour:
         # within noise that the padding covers, the same objects are returned, so that callers need not check them again
         if self._standing is None or np.abs(ends - self._standing[0]).max() > STILL:
             path = ends[0] + np.linspace(0.0, 1.0, _BETWEEN)[:, None] * (ends[1] - ends[0])
-            self._standing = ends, tuple(item.padded(ROUNDING) for item in self.along(path))
+            self._standing = ends, tuple(item.padded(ROUNDING) for item in self.space_along(path))
         return self._standing[1]
 
     def _placements(self, rows: np.ndarray, keys: list[list[int]]) -> list[list[pinocchio.SE3]]:

@@ -59,7 +59,7 @@ def relative(a_T_b: Pose, a_T_c: Pose) -> Pose:
     return Pose(a_T_b.rotation.T @ (a_T_c.position - a_T_b.position), a_T_b.rotation.T @ a_T_c.rotation)
 
 
-def listed(names: Iterable[str]) -> str:
+def names_text(names: Iterable[str]) -> str:
     """Return names of objects as a person reads them: more than he reads are counted."""
     known = sorted(names)
     return str(known) if len(known) <= _MOST_NAMES else f"{len(known)} objects"
@@ -204,7 +204,7 @@ class Scene:
         for item in self.objects:
             if item.name == name:
                 return item
-        raise SceneError("an object's name", name, f"one of the scene's {listed(self.names)}")
+        raise SceneError("an object's name", name, f"one of the scene's {names_text(self.names)}")
 
     def add(self, item: SceneObject, replace_existing: bool = False) -> Scene:
         """Return the scene with one more object, or with another one in the place of the one of that name.

@@ -15,7 +15,7 @@ import pinocchio
 
 from construction_twin.robot.description import JointValues
 from construction_twin.robot.plan import Clearance
-from construction_twin.scene.collision_bodies import UNKNOWN, Body, RobotBodies, make_reliable, measured
+from construction_twin.scene.collision_bodies import UNKNOWN, Body, RobotBodies, configure_distances, measured
 from construction_twin.scene.distance_bounds import Motion, Travel, pair_levers
 from construction_twin.scene.self_collision import SelfCollision
 
@@ -58,7 +58,7 @@ class PairChecks:
             self._geometry.addCollisionPair(pinocchio.CollisionPair(first, second))
         self._data = self._model.createData()
         self._geometry_data = self._geometry.createData()
-        make_reliable(self._geometry_data, [margin for _, _, margin in pairs])
+        configure_distances(self._geometry_data, [margin for _, _, margin in pairs])
         self._margins = np.array([margin for _, _, margin in pairs])
         self._q = np.zeros(robot.size)
         self._last: tuple[bytes, Motion] | None = None
@@ -73,7 +73,7 @@ class PairChecks:
 
     def is_free(self, q: JointValues) -> bool:
         """Return whether nothing touches."""
-        self._take(q)
+        self._place_bodies(q)
         return not pinocchio.computeCollisions(self._model, self._data, self._broad_phase, self._q, True)
 
     def first_blocked(self, qs: np.ndarray) -> int | None:
@@ -100,14 +100,14 @@ class PairChecks:
 
     def contacts(self, q: JointValues) -> list[Contact]:
         """Return every pair of names that touches."""
-        self._take(q)
+        self._place_bodies(q)
         pinocchio.computeCollisions(self._model, self._data, self._geometry, self._geometry_data, self._q, False)
         results = zip(self._names, self._geometry_data.collisionResults)
         return [Contact(names) for names in dict.fromkeys(names for names, result in results if result.isCollision())]
 
     def clearance(self, q: JointValues, changing: bool) -> Clearance:
         """Return the smallest distance of a pair."""
-        self._take(q)
+        self._place_bodies(q)
         row = self._q.copy()
         for pair in np.argsort(self._distances(row), kind="stable").tolist():
             if not changing:
@@ -193,7 +193,7 @@ class PairChecks:
     def _measure_placed(self, pair: int) -> float:
         """Return the distance of a pair where the bodies are now [m]."""
         distance = pinocchio.computeDistance(self._geometry, self._geometry_data, pair).min_distance
-        return distance if distance > UNKNOWN else self._known(pair)
+        return distance if distance > UNKNOWN else self._reliable_distance(pair)
 
     def _touches(self, rows: np.ndarray, place: float, pair: int) -> bool:
         self._place(rows, place)
@@ -201,11 +201,11 @@ class PairChecks:
 
     def distances(self, q: JointValues) -> list[PairDistance]:
         """Return every pair, measured."""
-        self._take(q)
+        self._place_bodies(q)
         found = zip(self._names, self._distances(self._q), self._pairs)
         return [PairDistance(names, float(distance), margin) for names, distance, (_, _, margin) in found]
 
-    def _take(self, q: JointValues) -> None:
+    def _place_bodies(self, q: JointValues) -> None:
         self._q[self._order] = q
         if self._follow is not None:
             self._follow(self._q)
@@ -214,10 +214,10 @@ class PairChecks:
         pinocchio.computeDistances(self._model, self._data, self._geometry, self._geometry_data, row)
         found = np.array([result.min_distance for result in self._geometry_data.distanceResults])
         for pair in np.flatnonzero(found <= UNKNOWN):
-            found[pair] = self._known(int(pair))
+            found[pair] = self._reliable_distance(int(pair))
         return found
 
-    def _known(self, pair: int) -> float:
+    def _reliable_distance(self, pair: int) -> float:
         """Return the last measurement of a pair; one that Coal could not make is made beside there, and kept."""
         result = self._geometry_data.distanceResults[pair]
         if result.min_distance <= UNKNOWN:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from construction_twin.robot.motion_errors import SceneError
-from construction_twin.scene.objects import Scene, SceneObject, listed
+from construction_twin.scene.objects import Scene, SceneObject, names_text
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class SceneChange:
         """Return the scene after the change; names in `touch` and `link` are checked where the scene meets a robot."""
         unknown = set(self.remove) - set(scene.names)
         if unknown:
-            known = f"one of the scene's {listed(scene.names)}; nothing was changed"
+            known = f"one of the scene's {names_text(scene.names)}; nothing was changed"
             raise SceneError("an object to remove", min(unknown), known)
         objects = {item.name: item for item in scene.without(self.remove).objects}
         for item in self.put:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import pydantic
 import yaml
 
-from construction_twin.core.errors import problem_of
+from construction_twin.core.errors import system_message
 from construction_twin.core.validation import wrong_value
 from construction_twin.robot.frames import rpy_to_quaternion
 from construction_twin.robot.motion_errors import SceneError
@@ -62,7 +62,7 @@ def read_scene(path: str | Path) -> Scene:
     try:
         description = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise SceneError(str(path), problem_of(error), "a YAML file of a scene") from error
+        raise SceneError(str(path), system_message(error), "a YAML file of a scene") from error
     if not isinstance(description, dict):
         raise SceneError(str(path), description, "a mapping with the keys padding and objects")
     return load_scene(description, Path(path).parent)

@@ -25,7 +25,7 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.validation import wrong_value
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.urdf import parse_urdf, read_yaml
-from construction_twin.scene.collision_bodies import RobotBodies, make_reliable, shape_contents
+from construction_twin.scene.collision_bodies import RobotBodies, configure_distances, shape_contents
 
 #: Pair of link names.
 Pair = tuple[str, str]
@@ -96,12 +96,12 @@ def _linkages(bodies: RobotBodies) -> list[set[int]]:
 
 def _nearest(urdf: URDF, start: str, chain: Collection[str], shaped: Collection[str]) -> set[str]:
     """Return the links with a shape that are fewest joints away from a link and move with it."""
-    seen, layer = {start}, {start}
+    visited, layer = {start}, {start}
     while layer and not layer & set(shaped):
         joints = [joint for joint in urdf.joints if joint.name not in chain]
         reached = {joint.child for joint in joints if joint.parent in layer}
-        layer = (reached | {joint.parent for joint in joints if joint.child in layer}) - seen
-        seen |= layer
+        layer = (reached | {joint.parent for joint in joints if joint.child in layer}) - visited
+        visited |= layer
     return layer & set(shaped)
 
 
@@ -189,8 +189,8 @@ def _open_pairs(bodies: RobotBodies, pairs: Sequence[Pair], poses: np.ndarray) -
                 parts[one.link, other.link].append(len(geometry.collisionPairs))
                 geometry.addCollisionPair(pinocchio.CollisionPair(first, second))
     data, contact, close = bodies.model.createData(), geometry.createData(), geometry.createData()
-    make_reliable(contact)
-    make_reliable(close, [NEAR] * len(close.collisionRequests))
+    configure_distances(contact)
+    configure_distances(close, [NEAR] * len(close.collisionRequests))
     always, never = dict(parts), dict(parts)
     for q in poses:
         if never and pinocchio.computeCollisions(bodies.model, data, geometry, close, q, False):

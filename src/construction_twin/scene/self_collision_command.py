@@ -17,7 +17,7 @@ import coal
 import numpy as np
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.files import check_writable, write_whole
+from construction_twin.core.files import check_writable, write_atomically
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.scene.collision_bodies import RobotBodies, is_convex, mesh_triangles
 from construction_twin.scene.mesh_file import binary_stl
@@ -99,7 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if output is None:
             print(text, end="")
             return
-        write_whole(output, text)
+        write_atomically(output, text)
         print(f"{output}: {len(found.ignored)} pairs left out, geometry {found.geometry_hash[:12]} of {robot.name}")
         if not options.no_hulls:
             for line in propose_hulls(robot, output.with_name(f"{output.stem.removesuffix('_self_collision')}_hulls")):

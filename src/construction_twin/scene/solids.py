@@ -34,12 +34,12 @@ def welded(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.
         np.round(vertices / (size * _WELD)).astype(np.int64), axis=0, return_index=True, return_inverse=True
     )
     triangles = merged.reshape(-1)[triangles]
-    kept = (
+    has_area = (
         (triangles[:, 0] != triangles[:, 1])
         & (triangles[:, 1] != triangles[:, 2])
         & (triangles[:, 2] != triangles[:, 0])
     )
-    return np.asarray(vertices, dtype=float)[first], triangles[kept]
+    return np.asarray(vertices, dtype=float)[first], triangles[has_area]
 
 
 def mesh_of(body: manifold3d.Manifold) -> tuple[np.ndarray, np.ndarray]:

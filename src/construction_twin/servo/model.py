@@ -212,9 +212,9 @@ def read_servos(path: str | Path, names: Sequence[str]) -> ServoModel:
         expected = f"those of this arm: {', '.join(names)}"
         raise ConfigurationError("servo_model", ", ".join(file.joints), expected)
     servos = [file.joints[name] for name in names]
-    kept = JointServo.__match_args__
+    keys = JointServo.__match_args__
     return ServoModel(
         tuple(names),
-        tuple(JointServo(**{key: getattr(servo, key) for key in kept}) for servo in servos),
+        tuple(JointServo(**{key: getattr(servo, key) for key in keys}) for servo in servos),
         file.cycle_ms * 1_000_000,
     )

@@ -1,4 +1,4 @@
-"""The kinematic twin: executes commands exactly, after it has taken over the arm's pose.
+"""The kinematic twin: executes commands exactly, after it has assumed the arm's pose.
 
 Pure; angles in rad, prismatic joints in m, stamps in ns.
 """
@@ -21,7 +21,7 @@ _LATE = 25
 
 
 class GazeboTwin:
-    """A `TwinBackend` whose poses come later, through `answer`; efforts and contacts stay with Gazebo."""
+    """A `TwinBackend` whose poses come later, through `on_simulated_pose`; efforts and contacts stay with Gazebo."""
 
     effort: tuple[float, ...] = ()
     contacts: tuple[tuple[str, str], ...] = ()
@@ -30,7 +30,7 @@ class GazeboTwin:
         self._open: deque[int] = deque(maxlen=_REMEMBERED)
 
     @property
-    def problem(self) -> str:
+    def fault(self) -> str:
         """One sentence when Gazebo is silent or late; empty: it answers."""
         waiting = len(self._open)
         if waiting == _REMEMBERED:
@@ -45,12 +45,12 @@ class GazeboTwin:
     def cycle(self, commanded: tuple[float, ...]) -> None:
         """See `TwinBackend`."""
 
-    def told(self, stamp: int) -> None:
-        """Remember a command that was published."""
+    def on_published(self, stamp: int) -> None:
+        """Remember a command that was published, by its stamp."""
         self._open.append(stamp)
 
-    def answer(self, stamp: int) -> bool:
-        """Take the stamp of a simulated pose; return whether its command waited. Those before it were skipped."""
+    def on_simulated_pose(self, stamp: int) -> bool:
+        """Remove the command of a simulated pose, by stamp, and those before it; return whether it waited."""
         if stamp not in self._open:
             return False
         while self._open.popleft() != stamp:
@@ -64,14 +64,14 @@ class TwinBackend(Protocol):
     Attributes:
         effort: Length n. What the axes give [N m], [N]; empty: unknown.
         contacts: What touches and, by the planner, should not: pairs of names.
-        problem: One sentence about what is simulated otherwise than it should be; empty: nothing is.
+        fault: One sentence about what is simulated otherwise than it should be; empty: nothing is.
     """
 
     effort: tuple[float, ...]
     contacts: tuple[tuple[str, str], ...]
 
     @property
-    def problem(self) -> str:
+    def fault(self) -> str:
         """See above."""
 
     def restart(self) -> None:
@@ -86,7 +86,7 @@ class KinematicBackend:
 
     effort: tuple[float, ...] = ()
     contacts: tuple[tuple[str, str], ...] = ()
-    problem = ""
+    fault = ""
 
     def restart(self) -> None:
         """See `TwinBackend`."""
@@ -143,7 +143,7 @@ class VirtualRobot:
     """A robot that is where it was told to be.
 
     Args:
-        home: Shape (n,). Pose to start at [rad], [m]; None waits for `take_over`: a twin of a physical arm makes no pose up.
+        home: Shape (n,). Pose to start at [rad], [m]; None waits for `assume_pose`: a twin of a physical arm makes no pose up.
         linear: Shape (n,). Which joints are linear; default: none.
     """
 
@@ -161,7 +161,7 @@ class VirtualRobot:
         return self._mirror is not None
 
     def restart(self) -> None:
-        """Forget the pose and wait for the next `take_over`."""
+        """Forget the pose and wait for the next `assume_pose`."""
         self.pose, self.stamp, self._executing, self._mirror = None, 0, False, None
 
     def begin_mirror(self, limits: MotionLimits) -> None:
@@ -181,8 +181,8 @@ class VirtualRobot:
         self.pose = pose
         return True
 
-    def take_over(self, q: tuple[float, ...]) -> bool:
-        """Take the physical arm's pose [rad] if none is held; return whether it was taken."""
+    def assume_pose(self, q: tuple[float, ...]) -> bool:
+        """Assume the physical arm's pose [rad] if none is held; return whether it was assumed."""
         if self.pose is not None:
             return False
         self.pose = q

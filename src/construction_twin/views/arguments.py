@@ -7,7 +7,7 @@ import contextlib
 import enum
 import math
 
-from construction_twin.core.extensions import ExtensionAbsent, extension
+from construction_twin.core.extensions import ExtensionAbsent, import_extension
 
 #: How long a service or a topic may stay silent before the command gives up [s].
 TIMEOUT = 5.0
@@ -82,7 +82,7 @@ def parser(robot: str) -> argparse.ArgumentParser:
     moveit = "write what stands in it as a .scene file of MoveIt; - for the terminal"
     scene.add_argument("--moveit", metavar="FILE", help=moveit)
     with contextlib.suppress(ExtensionAbsent):
-        steps = extension("work.twin_arguments").add_steps
+        steps = import_extension("work.twin_arguments").add_steps
         steps(command("work", "work from a building model: its tasks, what comes next, what people say"), common)
     watch = command("watch", "show states, joint errors and what was late until Ctrl-C")
     watch.add_argument("--once", action="store_true", help="print one picture and end")

@@ -17,7 +17,7 @@ LOOP_REST = 0.5
 
 
 @dataclass(frozen=True)
-class Playing:
+class PreviewRun:
     """A plan that the ghost plays since `began` [s]."""
 
     plan: Plan
@@ -46,7 +46,7 @@ class Preview:
     def __init__(self):
         self.plan: Plan | None = None
         self._twin: tuple[float, ...] | None = None
-        self._playing: Playing | None = None
+        self._run: PreviewRun | None = None
         self._approved: set[str] = set()
         self._over: set[str] = set()
 
@@ -58,7 +58,7 @@ class Preview:
     def on_plan(self, plan: Plan) -> None:
         """Show a plan in place of the previous one, unless it was rejected or has ended already."""
         if plan.id not in self._over and (self.plan is None or self.plan.id != plan.id):
-            self.plan, self._playing = plan, None
+            self.plan, self._run = plan, None
 
     def on_verdict(self, plan_id: str, approved: bool) -> None:
         """Take a verdict: an approved plan stays drawn until its execution ends, a rejected one disappears."""
@@ -67,13 +67,13 @@ class Preview:
             return
         self._approved.add(plan_id)
         if self.plan is not None and self.plan.id == plan_id:
-            self._playing = None
+            self._run = None
 
     def on_ending(self, plan_id: str) -> None:
         """Take the end of a plan: it is no longer shown."""
         self._over.add(plan_id)
         if self.plan is not None and self.plan.id == plan_id:
-            self.plan = self._playing = None
+            self.plan = self._run = None
 
     def on_twin(self, q: tuple[float, ...]) -> None:
         """Take the twin's pose [rad]."""
@@ -84,32 +84,32 @@ class Preview:
         if not 0.0 <= speed < math.inf:
             raise ReviewError(f"a preview at speed {speed} was asked for; expected a positive number, or 0 to end it")
         if speed == 0.0:
-            self._playing = None
+            self._run = None
             return "the preview has ended"
         plan = self.under_review
         if plan is None:
             raise ReviewError("no plan is under review; plan first, then preview it")
-        self._playing = Playing(plan, now, speed, loop)
+        self._run = PreviewRun(plan, now, speed, loop)
         again = ", again and again" if loop else ""
         return f"the ghost plays plan {plan.id} in {plan.trajectory.duration / speed:.3f} s{again}; nothing moves"
 
     def pose(self, now: float) -> tuple[float, ...] | None:
         """Return where the ghost is at `now` [s]; None while the twin's pose is unknown and no plan is under review."""
-        if self._playing is not None:
-            return self._playing.pose(now)
+        if self._run is not None:
+            return self._run.pose(now)
         if self.under_review is not None:
             return tuple(self.under_review.trajectory.positions[-1].tolist())
         return self._twin
 
     def segment(self, now: float) -> int | None:
         """Return the number of the segment that the ghost plays at `now` [s]; None when it plays none of a work plan."""
-        playing = self._playing
-        if playing is None or not playing.plan.segments:
+        run = self._run
+        if run is None or not run.plan.segments:
             return None
-        elapsed = playing.elapsed(now)
-        if elapsed >= playing.plan.trajectory.duration:
+        elapsed = run.elapsed(now)
+        if elapsed >= run.plan.trajectory.duration:
             return None
-        return next(number for number, segment in enumerate(playing.plan.segments) if elapsed < segment.end)
+        return next(number for number, segment in enumerate(run.plan.segments) if elapsed < segment.end)
 
 
 @dataclass(frozen=True)
@@ -134,9 +134,9 @@ def work_states(plan: Plan, changes: Sequence[SceneChange], scene: Scene | None)
     known = scene is not None and scene.hash == plan.scene
     present = scene if scene is not None and known else Scene()
     before = {item.name: item for item in present.objects}
-    told = [*changes, *[SceneChange()] * (len(plan.segments) - len(changes))]
+    segment_changes = [*changes, *[SceneChange()] * (len(plan.segments) - len(changes))]
     carried, problem = [], "" if known else "the scene that the plan begins in is not known here"
-    for segment, change in zip(plan.segments, told):
+    for segment, change in zip(plan.segments, segment_changes):
         carried.append(tuple(item for item in present.objects if item.link))
         present = _after(present, change)
         if known and not problem and present.hash != segment.scene_after:

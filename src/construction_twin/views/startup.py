@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from construction_twin.core.sentences import Sentence, both
+from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.link.gateway_status import without_counts
 
 #: Something is reported as waited for when it has been missing this long [s]: a part that starts within it is not reported.
@@ -40,7 +40,7 @@ class Deployment:
 
 
 @dataclass(frozen=True)
-class Word:
+class ReportedState:
     """State word and reason of a report; in the bridge's also the gateway's state."""
 
     state: str
@@ -49,12 +49,12 @@ class Word:
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What was heard so far; `controller`: why the arm may not move, as it says itself; "" for no reason."""
+class StartupInputs:
+    """What was received so far; `controller`: why the arm may not move, as it says itself; "" for no reason."""
 
-    link: Word | None = None
-    sync: Word | None = None
-    execution: Word | None = None
+    link: ReportedState | None = None
+    sync: ReportedState | None = None
+    execution: ReportedState | None = None
     feedback: bool = False
     twin: bool = False
     scene: bool = False
@@ -62,7 +62,7 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Waits:
+class WaitReason:
     """What a start waits for: who can do something about it, of `WHO`, what it is, and what to do."""
 
     who: str
@@ -70,101 +70,101 @@ class Waits:
     todo: str
 
 
-def _waits(kind: str, at: Deployment) -> Waits:
+def _wait_reason(kind: str, at: Deployment) -> WaitReason:
     broker, rsi, robot = at.broker, at.rsi_address, at.namespace.strip("/")
     return {
-        "nodes": Waits(SYSTEM, Sentence("the nodes"), Sentence("nothing to do yet")),
-        "bridge": Waits(
+        "nodes": WaitReason(SYSTEM, Sentence("the nodes"), Sentence("nothing to do yet")),
+        "bridge": WaitReason(
             TECHNICIAN, Sentence("the bridge"),
             Sentence("mqtt_bridge does not run; its reason stands in its log"),
         ),
-        "broker": Waits(
+        "broker": WaitReason(
             TECHNICIAN, Sentence("the MQTT broker {broker}", broker=broker),
             Sentence("start it, or give broker_host and broker_port"),
         ),
-        "gateway_here": Waits(
+        "gateway_here": WaitReason(
             TECHNICIAN, Sentence("the gateway"),
             Sentence("read its lines here; is UDP {rsi} taken?", rsi=rsi),
         ),
-        "gateway_there": Waits(
+        "gateway_there": WaitReason(
             TECHNICIAN, Sentence("the gateway"),
             Sentence("start rsi_gateway on the cell PC with --broker {broker}", broker=broker),
         ),
-        "configuration": Waits(
+        "configuration": WaitReason(
             TECHNICIAN, Sentence("the gateway's configuration"),
             Sentence("export it again, copy it, restart the gateway"),
         ),
-        "plc": Waits(
+        "plc": WaitReason(
             OPERATOR, Sentence("the PLC"),
             Sentence("start it; it says `ready` on its `status` topic, retained"),
         ),
-        "plc_other": Waits(
+        "plc_other": WaitReason(
             OPERATOR, Sentence("the PLC"),
             Sentence("stop what answers there, or start with the other gateway_kind"),
         ),
-        "plc_pose": Waits(
+        "plc_pose": WaitReason(
             OPERATOR, Sentence("the PLC's pose"),
             Sentence("let it send joint strings on its `state` topic, without user properties"),
         ),
-        "measuring": Waits(
+        "measuring": WaitReason(
             SYSTEM, Sentence("the controller (RSI)"),
             Sentence("nothing to do, it goes on by itself within seconds"),
         ),
-        "cycle": Waits(
+        "cycle": WaitReason(
             OPERATOR, Sentence("the controller (RSI)"),
             Sentence("correct RSI_ON in the program, and start it again"),
         ),
-        "no_clock": Waits(
+        "no_clock": WaitReason(
             OPERATOR, Sentence("the controller (RSI)"),
             Sentence("see what sends to {rsi}: a controller's IPOC counts milliseconds of real time", rsi=rsi),
         ),
-        "cycle_mock": Waits(
+        "cycle_mock": WaitReason(
             OPERATOR, Sentence("the controller (RSI)"),
             Sentence("give gateway and mock_rsi one rsi_cycle"),
         ),
-        "running": Waits(
+        "running": WaitReason(
             OPERATOR, Sentence("the controller (RSI)"),
             Sentence("start the RSI program again once RSI has timed out"),
         ),
-        "running_mock": Waits(SYSTEM, Sentence("the controller (RSI)"), Sentence("it starts again by itself")),
-        "controller": Waits(
+        "running_mock": WaitReason(SYSTEM, Sentence("the controller (RSI)"), Sentence("it starts again by itself")),
+        "controller": WaitReason(
             OPERATOR, Sentence("the controller (RSI)"),
             Sentence("start the RSI program, or cure what is refused; the controller sends to {rsi}", rsi=rsi),
         ),
-        "controller_mock": Waits(
+        "controller_mock": WaitReason(
             OPERATOR, Sentence("the controller (RSI)"),
             Sentence("look why mock_rsi does not send, or what it sends"),
         ),
-        "pose": Waits(
+        "pose": WaitReason(
             TECHNICIAN, Sentence("the first pose of the arm"),
             Sentence("look at `/diagnostics` of mqtt_bridge: what does it refuse?"),
         ),
-        "twin": Waits(
+        "twin": WaitReason(
             TECHNICIAN, Sentence("the twin"),
             Sentence("look why /{robot}/virtual_robot publishes nothing", robot=robot),
         ),
-        "scene": Waits(
+        "scene": WaitReason(
             TECHNICIAN, Sentence("the scene"),
             Sentence("look why /{robot}/scene publishes nothing; is its file right?", robot=robot),
         ),
-        "responsible": Waits(
+        "responsible": WaitReason(
             OPERATOR, Sentence("a person who arms the bare PLC by name"),
             Sentence("arm it by name: on the console, or `twin --robot {robot} arm --responsible NAME`", robot=robot),
         ),
-        "reset": Waits(
+        "reset": WaitReason(
             OPERATOR, Sentence("a reset"),
             Sentence("remove the cause, then reset: on the console, or `twin --robot {robot} reset`", robot=robot),
         ),
-        "same_pose": Waits(
+        "same_pose": WaitReason(
             SYSTEM, Sentence("twin and arm to take the same pose"),
             Sentence("nothing to do, it goes on by itself once the arm rests"),
         ),
-        "gate": Waits(SYSTEM, Sentence("the gate to open"), Sentence("it opens when twin and arm agree")),
-        "gate_reset": Waits(
+        "gate": WaitReason(SYSTEM, Sentence("the gate to open"), Sentence("it opens when twin and arm agree")),
+        "gate_reset": WaitReason(
             OPERATOR, Sentence("the gate to open"),
             Sentence("reset: on the console with the right to, or call reset on the robot's PC"),
         ),
-        "executor": Waits(SYSTEM, Sentence("the executor"), Sentence("it follows the gate")),
+        "executor": WaitReason(SYSTEM, Sentence("the executor"), Sentence("it follows the gate")),
     }[kind]  # fmt: skip
 
 
@@ -177,9 +177,9 @@ class Missing:
     deployment: Deployment
 
     @property
-    def waits(self) -> Waits:
+    def wait_reason(self) -> WaitReason:
         """What that is for people."""
-        return _waits(self.kind, self.deployment)
+        return _wait_reason(self.kind, self.deployment)
 
     @property
     def news(self) -> tuple[str, str]:
@@ -188,7 +188,10 @@ class Missing:
 
     def __str__(self) -> str:
         # a reason that comes with what to do about it needs no more
-        return f"waiting for {self.waits.what}: {self.reason if '; ' in self.reason else both(self.reason, self.waits.todo)}"
+        wait = self.wait_reason
+        return (
+            f"waiting for {wait.what}: {self.reason if '; ' in self.reason else join_sentences(self.reason, wait.todo)}"
+        )
 
 
 class StartUp:
@@ -199,16 +202,16 @@ class StartUp:
         self.missing: Missing | None = Missing("nodes", "", deployment)
         # since when this is missing, and since when for this reason
         self._since = self._reason_since = 0.0
-        self._said: Missing | None = None
+        self._logged: Missing | None = None
         self._ready = False
-        self._controller = _Beside("the controller reports nothing against a motion any more")
+        self._controller = _SideNotice("the controller reports nothing against a motion any more")
 
-    def update(self, seen: Seen, now: float) -> list[str]:
+    def update(self, inputs: StartupInputs, now: float) -> list[str]:
         """Take what is seen at a time that never runs back [s]; return the lines that are news."""
-        return self._progress(seen, now) + self._controller.update(seen.controller, now)
+        return self._progress(inputs, now) + self._controller.update(inputs.controller, now)
 
-    def _progress(self, seen: Seen, now: float) -> list[str]:
-        missing, before = first_missing(seen, self._deployment), self.missing
+    def _progress(self, inputs: StartupInputs, now: float) -> list[str]:
+        missing, before = first_missing(inputs, self._deployment), self.missing
         if missing is None or before is None or missing.kind != before.kind or not self._since:
             self._since = self._reason_since = now
         elif missing.news != before.news:
@@ -216,31 +219,31 @@ class StartUp:
         self.missing = missing
         if missing is None:
             return self._become_ready()
-        said = self._said
-        if said is not None and missing.news == said.news:
+        logged = self._logged
+        if logged is not None and missing.news == logged.news:
             return []
         # reasons that alternate must not keep back that something is missing, nor make a line each
-        told = said is not None and missing.kind == said.kind
-        if now - (self._reason_since if told else self._since) < PATIENCE:
+        was_logged = logged is not None and missing.kind == logged.kind
+        if now - (self._reason_since if was_logged else self._since) < PATIENCE:
             return []
         text = f"not ready any more, {missing}" if self._ready else str(missing)
-        self._said, self._ready = missing, False
+        self._logged, self._ready = missing, False
         return [text]
 
     def _become_ready(self) -> list[str]:
-        if self._ready and self._said is None:
+        if self._ready and self._logged is None:
             return []
-        self._ready, self._said = True, None
+        self._ready, self._logged = True, None
         robot = self._deployment.namespace.strip("/")
         return [f"ready; plan with `rosrun construction_twin twin --robot {robot} plan ...`, look with `... watch`"]
 
 
-class _Beside:
-    """Tells what nothing waits for, but a person should know: when it has stood for `PATIENCE`, and that it does no more."""
+class _SideNotice:
+    """Logs what nothing waits for, but a person should know: when it has stood for `PATIENCE`, and that it does no more."""
 
     def __init__(self, gone: str):
         self._gone = gone
-        self._sentence = self._said = ""
+        self._sentence = self._logged = ""
         self._since = 0.0
 
     def update(self, sentence: str, now: float) -> list[str]:
@@ -248,17 +251,17 @@ class _Beside:
         news = without_counts(sentence)
         if news != self._sentence:
             self._sentence, self._since = news, now
-        if news == self._said or now - self._since < PATIENCE:
+        if news == self._logged or now - self._since < PATIENCE:
             return []
-        self._said = news
+        self._logged = news
         return [sentence or self._gone]
 
 
-def first_missing(seen: Seen, deployment: Deployment) -> Missing | None:
+def first_missing(inputs: StartupInputs, deployment: Deployment) -> Missing | None:
     """Return the first thing that is not there yet, None when everything is."""
     steps = (_twin, _gate) if deployment.arm == "none" else (_link, _twin, _armed, _gate)
     for step in steps:
-        found = step(seen, deployment)
+        found = step(inputs, deployment)
         if found is not None:
             return Missing(*found, deployment)
     return None
@@ -280,8 +283,8 @@ _NOT_IN_REAL_TIME = "what sends is no controller in real time"
 _Found = tuple[str, str] | None
 
 
-def _link(seen: Seen, deployment: Deployment) -> _Found:
-    word = seen.link or Word("", "")
+def _link(inputs: StartupInputs, deployment: Deployment) -> _Found:
+    word = inputs.link or ReportedState("", "")
     state, reason = word.state, word.reason
     if not state:
         return "bridge", Sentence("no report")
@@ -298,29 +301,29 @@ def _link(seen: Seen, deployment: Deployment) -> _Found:
             return "no_clock", reason
         real, mock = _CONTROLLER.get(word.gateway, ("controller", "controller_mock"))
         return real if deployment.arm == "real" else mock, reason
-    return None if seen.feedback else ("pose", reason)
+    return None if inputs.feedback else ("pose", reason)
 
 
-def _twin(seen: Seen, deployment: Deployment) -> _Found:
-    if not seen.twin:
+def _twin(inputs: StartupInputs, deployment: Deployment) -> _Found:
+    if not inputs.twin:
         return "twin", ""
-    return None if seen.scene else ("scene", "")
+    return None if inputs.scene else ("scene", "")
 
 
-def _armed(seen: Seen, deployment: Deployment) -> _Found:
-    word = seen.link or Word("", "")
+def _armed(inputs: StartupInputs, deployment: Deployment) -> _Found:
+    word = inputs.link or ReportedState("", "")
     if word.state == "NEEDS_RESET":
         return ("responsible", "") if deployment.gateway_kind == "plc" else ("reset", word.reason)
     return ("same_pose", word.reason) if word.state == "RESYNC" else None
 
 
-def _gate(seen: Seen, deployment: Deployment) -> _Found:
-    if seen.link is not None and seen.link.state == "MIRROR":
+def _gate(inputs: StartupInputs, deployment: Deployment) -> _Found:
+    if inputs.link is not None and inputs.link.state == "MIRROR":
         return None  # the arm leads; the gate is closed on purpose
-    word = seen.sync or Word("", Sentence("no report of {node}", node="pca_monitor"))
+    word = inputs.sync or ReportedState("", Sentence("no report of {node}", node="pca_monitor"))
     if word.state != "IN_SYNC":
         kind = "gate_reset" if word.state in ("STOPPED", "FAULT") else "gate"
         return kind, Sentence("{state}: {reason}", state=word.state or "silent", reason=word.reason)
-    if seen.execution is None or seen.execution.state == "WAITING":
-        return "executor", seen.execution.reason if seen.execution else Sentence("no report")
+    if inputs.execution is None or inputs.execution.state == "WAITING":
+        return "executor", inputs.execution.reason if inputs.execution else Sentence("no report")
     return None

@@ -118,9 +118,9 @@ def segment_lines(plan: Plan, changes: Sequence[SceneChange] = ()) -> list[str]:
         return []
     lines = [f"segments   {len(plan.segments)}, each from rest to rest and in the scene that the one before leaves"]
     width = max(len(cut(segment.name)) for segment in plan.segments)
-    told = [*changes, *[None] * (len(plan.segments) - len(changes))]
+    segment_changes = [*changes, *[None] * (len(plan.segments) - len(changes))]
     begin = 0.0
-    for number, (segment, change) in enumerate(zip(plan.segments, told), 1):
+    for number, (segment, change) in enumerate(zip(plan.segments, segment_changes), 1):
         times = f"{begin:7.2f} to {segment.end:7.2f} s"
         words = segment_words(segment, change)
         lines.append(f"  {number:2d} {cut(segment.name):{width}} {times}  {'; '.join(words)}".rstrip())
@@ -161,10 +161,10 @@ def status_lines(snapshot: Snapshot) -> list[str]:
         lines.append(f"holds      {cause}")
     for name in ("link", "sync", "execution"):
         facts = getattr(snapshot, name)
-        said = "no report" if facts is None else f"{facts.text}{because(facts.reason)}"
+        text = "no report" if facts is None else f"{facts.text}{because(facts.reason)}"
         if facts is not None and name in snapshot.silent:
-            said = f"silent for {snapshot.silent[name]:.0f} s; the last was {facts.text}"
-        lines.append(f"{name:10} {said}")
+            text = f"silent for {snapshot.silent[name]:.0f} s; the last was {facts.text}"
+        lines.append(f"{name:10} {text}")
     controller = controller_words(snapshot.link.gateway_counters) if snapshot.link is not None else ""
     if controller:
         lines.append(f"controller {controller}")
@@ -212,9 +212,9 @@ def work_lines(execution: ExecutionReport | None) -> list[str]:
     return lines
 
 
-def controller_words(told: Mapping[str, str]) -> str:
+def controller_words(values: Mapping[str, str]) -> str:
     """Return what the controller says on its optional channels, e.g. ``T1, program ACTIVE, override 100 %``; "" for nothing."""
-    mode, program, override = (told.get(f"controller_{name}", "") for name in ("mode", "program", "override_percent"))
+    mode, program, override = (values.get(f"controller_{name}", "") for name in ("mode", "program", "override_percent"))
     words = [mode] if mode else []
     words += [f"program {program}"] if program else []
     words += [f"override {override} %"] if override else []
@@ -270,7 +270,7 @@ def segment_words(segment: Segment, change: SceneChange | None = None) -> list[s
 
 def change_words(change: SceneChange) -> str:
     """Return what becomes of the scene, by the names of whole things: an element's bodies are called ``<element>/0``, ..."""
-    said: list[str] = []
+    phrases: list[str] = []
     for verb, names in (
         ("carries", [item.name for item in change.put if item.link]),
         ("puts", [item.name for item in change.put if not item.link]),
@@ -279,12 +279,12 @@ def change_words(change: SceneChange) -> str:
         things = list(dict.fromkeys(name.rsplit("/", 1)[0] for name in names))
         if things and verb == "removes":
             # what is gone is no longer kept clear of: the reviewer sees all of it
-            said.append(f"removes {', '.join(things)}")
+            phrases.append(f"removes {', '.join(things)}")
         elif things:
             first = cut(things[0])
             more = f"{first} and {len(things) - 1} more" if len(things) > 1 else first
-            said.append(f"{verb} {more}")
-    return ", ".join(said) or "the scene changes"
+            phrases.append(f"{verb} {more}")
+    return ", ".join(phrases) or "the scene changes"
 
 
 def cut(name: str) -> str:

@@ -30,7 +30,7 @@ from construction_twin.extensions.console.nodes.shown_plan import ShownPlan
 from construction_twin.mqtt.client import Account, Broker
 from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import ANSWERS, PRESSED
-from construction_twin.review.rehearsal_report import FAILED, PASSED, RehearsalReport, finished
+from construction_twin.review.rehearsal_report import FAILED, PASSED, RehearsalReport, with_hash
 from construction_twin.ros.messages.records import to_msg
 
 #: The robot's account on a site.
@@ -271,7 +271,7 @@ def test_what_is_pressed_is_carried_out_and_answered(pressing, verb, ack):
         }
     ]
     assert pressing.pressed == [verb]
-    assert pressing.connection.report() == {f"{verb} taken": 1}
+    assert pressing.connection.status_fields() == {f"{verb} taken": 1}
 
 
 @pytest.mark.parametrize("slow, quick", [(PAUSE, STOP), (RESET, STOP), (RESUME, PAUSE)])
@@ -413,7 +413,7 @@ def test_who_floods_with_what_is_no_stop_is_not_always_answered_and_a_stop_is(pr
         press(pressing, STOP, payload=b"{}")
     answered = len(acks(pressing, STOP))
     assert ANSWERS <= answered < 100 and pressing.made.refused == {"format": 100}
-    assert pressing.connection.report() == {"stop not answered": 100 - answered}
+    assert pressing.connection.status_fields() == {"stop not answered": 100 - answered}
     # nobody else's answers wait for that, and nothing that can be read does
     press(pressing, STOP, account="ada", payload=b"{}")
     press(pressing, STOP, "7")
@@ -434,7 +434,7 @@ def test_an_executor_that_is_not_there_is_told(pressing, error):
     wait_until(lambda: acks(pressing, "stop"), what="an answer")
     answer = acks(pressing, "stop")[0]
     assert not answer["ok"] and "/kr120/stop does not answer" in answer["reason"]
-    assert pressing.connection.report() == {"stop not taken": 1}
+    assert pressing.connection.status_fields() == {"stop not taken": 1}
 
 
 def shown(bench) -> dict | None:
@@ -500,7 +500,7 @@ def answering(bench, monkeypatch, now=5.0):
         return WorkDecideResponse(True, "T1: it stands at its place", "")
 
     bench.decide.do = decide
-    monkeypatch.setattr(module, "present", lambda: Moment("c0ffee00", round(now * 1e9)))
+    monkeypatch.setattr(module, "present_moment", lambda: Moment("c0ffee00", round(now * 1e9)))
     return asked
 
 
@@ -563,7 +563,7 @@ def test_a_speed_limit_goes_on_in_the_name_of_the_account_and_is_answered(pressi
     }
     assert acks(pressing, "speed") == [answer]
     assert asked == [{"limit": 0.3, "person": "dora", "moment": ""}]
-    assert pressing.connection.report()["lower_speed taken"] == 1
+    assert pressing.connection.status_fields()["lower_speed taken"] == 1
 
 
 def test_that_a_raise_was_too_old_comes_back(pressing):
@@ -621,7 +621,7 @@ def shown_rehearsals(bench) -> list[bytes]:
 
 
 def rehearsed(**found) -> Rehearsal:
-    return to_msg(finished(RehearsalReport(plan_id="p1", **found), 0.1), Rehearsal)
+    return to_msg(with_hash(RehearsalReport(plan_id="p1", **found), 0.1), Rehearsal)
 
 
 def test_a_rehearsal_whose_hash_is_not_its_own_is_refused_and_counted(bench):

@@ -30,7 +30,7 @@ running = functools.partial(serving, port=PORT)
 @pytest.fixture(scope="module")
 def site(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("site")
-    SiteFolder(folder).make(
+    SiteFolder(folder).create_missing(
         Site(hosts=("localhost",), robots=("one",), port=BROKER_PORT, folder=str(folder / "broker"))
     )
     return folder

@@ -240,7 +240,7 @@ def test_a_new_connection_gets_everything_again_and_a_farewell_takes_it_away(tmp
     made.on_scene(message(scene(tmp_path)))
     told(made, broker)
     broker.published.clear()
-    made.publish_retained()
+    made.republish_retained()
     clock.steady += 0.3
     told(made, broker)
     assert [topic for topic, *_ in broker.published] == [TOPICS.scene, TOPICS.messages, TOPICS.screen]

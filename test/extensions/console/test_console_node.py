@@ -111,16 +111,16 @@ def bench(monkeypatch, tmp_path, request):
     settings = Settings(host="127.0.0.1", port=1, max_trajectory_bytes=4096, view_rate=rate)
     unplugged = Unplugged(monkeypatch, NODE, settings, ROBOT, lambda *_: ROBOT.home)
     made = SimpleNamespace(acts=lines[0], line=lines[1], asked=asked, ended=ended, unplugged=unplugged)
-    made.node, made.hear = unplugged.node, lambda topic, message: unplugged.callbacks[topic](message)
+    made.node, made.receive = unplugged.node, lambda topic, message: unplugged.callbacks[topic](message)
     yield made
     ended.set()
 
 
 def test_what_people_do_has_a_connection_of_its_own(bench):
-    assert bench.node.report().level == WARN, "there is no connection yet"
+    assert bench.node.diagnose().level == WARN, "there is no connection yet"
     for line in (bench.acts, bench.line):
         line.come_up()
-    assert bench.node.report().level == OK
+    assert bench.node.diagnose().level == OK
     acts = {
         "stop/+",
         "pause/+",
@@ -139,7 +139,7 @@ def test_what_people_do_has_a_connection_of_its_own(bench):
     assert set(bench.line.topics) == {TOPIC + topic for topic in others}
     assert bench.acts.said("plan") == [None] and bench.line.said("view")[0]["online"]
     bench.acts.connected = False
-    assert bench.node.report().level == WARN
+    assert bench.node.diagnose().level == WARN
 
 
 def test_reports_and_requests_find_their_parts_and_an_end_takes_away_what_was_shown(bench):
@@ -147,9 +147,9 @@ def test_reports_and_requests_find_their_parts_and_an_end_takes_away_what_was_sh
         line.come_up()
     running = threading.Thread(target=bench.node.run)
     running.start()
-    bench.hear("plan", Plan(id="p1", hash="cafe"))
-    bench.hear("sync", Sync(text="IN_SYNC"))
-    bench.hear("execution", Execution(text="IDLE"))
+    bench.receive("plan", Plan(id="p1", hash="cafe"))
+    bench.receive("sync", Sync(text="IN_SYNC"))
+    bench.receive("execution", Execution(text="IDLE"))
     wait_until(lambda: bench.line.said("view")[-1]["plan"] == "p1", what="the plan in the view")
     view = bench.line.said("view")[-1]
     assert (view["sync"]["state"], view["twin"]["positions"]) == ("IN_SYNC", [pytest.approx(q) for q in ROBOT.home])
@@ -159,10 +159,10 @@ def test_reports_and_requests_find_their_parts_and_an_end_takes_away_what_was_sh
     wait_until(lambda: len(bench.asked) == 3, what="what was asked for")
     assert {name for name, _ in bench.asked} == {"executor/act_as_seen", "review_plan", "plan_trajectory"}
     wait_until(lambda: bench.line.said("trajectory/ack") and bench.acts.said("stop/ack"), what="the answers")
-    assert bench.node.report().values["stop taken"] == 1
-    bench.hear("review", Review(plan_id="p1"))
+    assert bench.node.diagnose().values["stop taken"] == 1
+    bench.receive("review", Review(plan_id="p1"))
     assert bench.acts.said("plan")[-1] is None
-    bench.hear("plan", Plan(id="p2"))
+    bench.receive("plan", Plan(id="p2"))
     # a last will of an older connection, which came late, took it away
     plans = len(bench.acts.said("plan"))
     wait_until(lambda: len(bench.acts.said("plan")) > plans, what="the plan anew")

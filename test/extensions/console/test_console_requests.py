@@ -167,7 +167,7 @@ def bench(monkeypatch):
     monkeypatch.setattr(rospy, "loginfo", lambda *_: None)
     for module in (requests, endpoint):
         monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: made.steady))
-    monkeypatch.setattr(endpoint, "present", made.moment)
+    monkeypatch.setattr(endpoint, "present_moment", made.moment)
     return made
 
 
@@ -219,7 +219,7 @@ def test_what_the_planner_refuses_and_a_planner_that_is_gone_are_sentences(bench
     bench.services["pose"].answer = rospy.ServiceException("connection refused")
     answer = bench.ask(kind="pose", id="8", **POSE)
     assert "/kr120/plan_to_pose does not answer: connection refused" in answer["reason"]
-    assert bench.connection.report() == {"plan_request not taken": 2}
+    assert bench.connection.status_fields() == {"plan_request not taken": 2}
 
 
 @pytest.mark.parametrize(
@@ -308,7 +308,7 @@ def test_a_trajectory_becomes_a_plan_and_the_sender_is_told_its_id(bench):
         {"id": "7", "sender": "kr120-planner-ada", "ok": True, "reason": "waiting for review", "plan_id": "p1",
          "plan_hash": "cafe", "duration": 2.75, "notes": []}
     ]  # fmt: skip
-    assert bench.connection.report() == {"trajectory taken": 1}
+    assert bench.connection.status_fields() == {"trajectory taken": 1}
 
 
 def test_times_that_were_replaced_are_told_with_both_durations_and_the_reason(bench):

@@ -591,15 +591,15 @@ def test_a_site_s_accounts_come_through_with_tls_on_both_sides(tmp_path):
 
 def test_an_allowance_is_used_up_and_grows_again():
     bucket = TokenBucket(rate=2, burst=4)
-    assert [bucket.take(0) for _ in range(5)] == [True] * 4 + [False]
-    assert bucket.take(NANOSECONDS // 2)
-    assert not bucket.take(NANOSECONDS // 2)
+    assert [bucket.spend(0) for _ in range(5)] == [True] * 4 + [False]
+    assert bucket.spend(NANOSECONDS // 2)
+    assert not bucket.spend(NANOSECONDS // 2)
     # it never holds more than the burst, and a clock that goes back gives nothing
-    assert not bucket.take(1000 * NANOSECONDS, 4.5)
-    assert not bucket.take(0, 4.5)
+    assert not bucket.spend(1000 * NANOSECONDS, 4.5)
+    assert not bucket.spend(0, 4.5)
 
 
 def test_a_bucket_of_bytes_is_exact_at_its_border_whatever_the_clock_shows():
     bucket, now = TokenBucket(rate=65536, burst=262_144), 987_654_321_987_654_321
-    assert all(bucket.take(now, 1024) for _ in range(256)) and not bucket.take(now, 1)
-    assert bucket.take(now + NANOSECONDS, 65536) and not bucket.take(now + NANOSECONDS, 1)
+    assert all(bucket.spend(now, 1024) for _ in range(256)) and not bucket.spend(now, 1)
+    assert bucket.spend(now + NANOSECONDS, 65536) and not bucket.spend(now + NANOSECONDS, 1)

@@ -14,17 +14,17 @@ from construction_twin.core.reports import SpeedChange
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.extensions.console import message_board as module
-from construction_twin.extensions.console.message_board import MOST, ORDINARY, MessageBoard
+from construction_twin.extensions.console.message_board import MAX_MESSAGES, ORDINARY, MessageBoard
 from construction_twin.extensions.console.nodes.endpoint import Connection
 from construction_twin.extensions.console.nodes.feed import ConsoleFeed
 from construction_twin.extensions.console.remote_view import ViewWriter
 from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
-from construction_twin.views.startup import Word
-from construction_twin.views.status_line import TABLE, Level, ReportsNow, status_lines
+from construction_twin.views.startup import ReportedState
+from construction_twin.views.status_line import TABLE, CurrentReports, Level, status_lines
 
-ARMED, IN_SYNC, IDLE = Word("ARMED", ""), Word("IN_SYNC", ""), Word("IDLE", "")
+ARMED, IN_SYNC, IDLE = ReportedState("ARMED", ""), ReportedState("IN_SYNC", ""), ReportedState("IDLE", "")
 
 
 class Board:
@@ -58,10 +58,10 @@ class Board:
 
 
 def lines(**changes):
-    return status_lines(ReportsNow(**{"link": ARMED, "sync": IN_SYNC, "execution": IDLE} | changes))
+    return status_lines(CurrentReports(**{"link": ARMED, "sync": IN_SYNC, "execution": IDLE} | changes))
 
 
-STOPPED = lines(link=Word("NEEDS_RESET", "asked by account bob"))
+STOPPED = lines(link=ReportedState("NEEDS_RESET", "asked by account bob"))
 
 
 def test_what_a_person_must_mend_is_a_message_from_when_it_began_until_it_ends():
@@ -91,7 +91,7 @@ def test_what_passes_at_once_is_none():
 def test_another_cause_is_another_message():
     made = Board()
     for at, joint in ((0.0, "A3"), (1.0, "A3"), (2.0, "A1"), (3.0, "A1")):
-        made.lines(lines(sync=Word("HOLDING", ""), cause=f"{joint} differs"), at)
+        made.lines(lines(sync=ReportedState("HOLDING", ""), cause=f"{joint} differs"), at)
     assert [(each.line.sentence, each.at, each.until) for each in made.messages if each.line.topic == "cause"] == [
         ("The arm holds: A3 differs", 0.0, 2.0), ("The arm holds: A1 differs", 2.0, None),
     ]  # fmt: skip
@@ -162,9 +162,9 @@ def test_what_people_did_stands_among_them_and_is_told_once():
 
 def test_the_newest_are_kept():
     made = Board()
-    for number in range(MOST + 5):
+    for number in range(MAX_MESSAGES + 5):
         made.board.on_act("reset", float(number), "ada asked for a reset")
-    assert len(made.messages) == MOST and made.messages[-1].at == MOST + 4
+    assert len(made.messages) == MAX_MESSAGES and made.messages[-1].at == MAX_MESSAGES + 4
 
 
 def test_they_outlast_the_node_and_what_lasted_begins_anew(tmp_path, monkeypatch):
@@ -174,7 +174,7 @@ def test_they_outlast_the_node_and_what_lasted_begins_anew(tmp_path, monkeypatch
         before.lines(STOPPED, at)
     before.acknowledge(0, "ada", 2.0)
     before.board.write()
-    monkeypatch.setattr(module, "write_whole", lambda *_: pytest.fail("nothing has changed"))
+    monkeypatch.setattr(module, "write_atomically", lambda *_: pytest.fail("nothing has changed"))
     before.board.write()
     made = Board(path)
     assert made.messages[0].acknowledged_by == "ada" and made.messages[0].until == 0.0

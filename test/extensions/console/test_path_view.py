@@ -10,6 +10,6 @@ PATH = PathView("p1", [0.1 * k for k in range(11)], [(0.1 * k, 0.123456, 0.0) fo
 
 
 def test_a_thinned_path_keeps_its_ends_and_its_rests_each_with_its_time():
-    said = json.loads(PATH.to_json(3, keep=(7,)))
+    said = json.loads(PATH.to_json(3, required=(7,)))
     assert said["times"] == [0.0, 0.5, 0.7, 1.0]
     assert [point[0] for point in said["tool_path"]] == said["times"]

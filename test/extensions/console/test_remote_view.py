@@ -16,10 +16,10 @@ from construction_twin.extensions.console.remote_view import (
     COMPATIBLE,
     VERSION,
     ClosestView,
+    FreshReport,
     PlanProgress,
     PoseView,
-    Seen,
-    Shown,
+    ViewInputs,
     ViewWriter,
 )
 from construction_twin.link.requests import Joints
@@ -28,18 +28,18 @@ SCHEMA = json.loads(schemas.view_schema())
 JOINTS = Joints(("track", "joint_a1"), (True, False))
 NOW = 1_795_369_597_396_012_345
 MOMENT = Moment("c0ffee00", 81_234_567_890)
-SEEN = Seen(
+INPUTS = ViewInputs(
     PoseView(1_795_369_597.39, 0.004, (1.5, math.pi / 3)),
     PoseView(1_795_369_597.388, 0.0061234567, (1.5, 1.0471)),
-    Shown(
+    FreshReport(
         SyncReport("IN_SYNC", "agree", "resume", "", (0.0, 0.0001), (0.001, 0.01), 0.03125, violations=3, agreed=True),
         0.01,
     ),
-    Shown(
+    FreshReport(
         LinkReport("ARMED", "well", "following", {"late_replies": "4", "controller_mode": "T1"}, gateway_kind="rsi"),
         0.7,
     ),
-    Shown(
+    FreshReport(
         ExecutionReport(
             "PLAYING", "plays p1", "p1", duration=8.0, rate=1.0, speed_limit=1.0, segment=1, segment_name="carry"
         ),
@@ -82,7 +82,7 @@ def properties(node: dict) -> dict:
 
 
 def test_the_message_has_the_keys_of_the_schema_at_every_level():
-    held = replace(SEEN, hold=HoldReport("joint_a1 differs", NOW), speed=SpeedReport(), expected=SEEN.arm)
+    held = replace(INPUTS, hold=HoldReport("joint_a1 differs", NOW), speed=SpeedReport(), expected=INPUTS.arm)
     message = read(writer().write(NOW, held, MOMENT))
     assert set(message) == set(properties(SCHEMA))
     for key, node in properties(SCHEMA).items():
@@ -98,20 +98,20 @@ def test_the_message_has_the_keys_of_the_schema_at_every_level():
 
 
 def test_a_reader_of_version_1_finds_all_that_it_knows():
-    for message in (read(writer().write(NOW, SEEN, MOMENT)), read(writer().offline())):
+    for message in (read(writer().write(NOW, INPUTS, MOMENT)), read(writer().offline())):
         assert message["compatible"] == 1 and set(VERSION_1) <= set(message)
         for key, inner in VERSION_1.items():
             assert not inner or message[key] is None or inner <= set(message[key]), key
 
 
 def test_what_version_4_adds_is_in_it():
-    held = replace(SEEN, hold=HoldReport("joint_a1 differs", NOW - 10**9))
-    report = replace(SEEN.execution.report, approval_obstacle="not in sync", overridable=True)
-    held = replace(held, execution=replace(SEEN.execution, report=report))
+    held = replace(INPUTS, hold=HoldReport("joint_a1 differs", NOW - 10**9))
+    report = replace(INPUTS.execution.report, approval_obstacle="not in sync", overridable=True)
+    held = replace(held, execution=replace(INPUTS.execution, report=report))
     message = read(writer().write(NOW, held, MOMENT))
     assert message["hold"] == {"cause": "joint_a1 differs", "since": 1_795_369_596.396012}
     assert (message["approval_obstacle"], message["overridable"]) == ("not in sync", True)
-    well = read(writer().write(NOW, SEEN, MOMENT))
+    well = read(writer().write(NOW, INPUTS, MOMENT))
     assert (well["hold"], well["approval_obstacle"]) == (None, "")
     without = read(writer().write(NOW, replace(held, plan=""), MOMENT))
     assert without["approval_obstacle"] == "", "there is no plan that it could stand against"
@@ -119,17 +119,17 @@ def test_what_version_4_adds_is_in_it():
 
 def test_what_version_5_adds_is_in_it():
     said = SpeedReport(0.2, "people", "dora has it", 0.2, "dora", NOW - 10**9, 0.5, "bob", 1.0, "", 1)
-    message = read(writer().write(NOW, replace(SEEN, speed=said), MOMENT))
+    message = read(writer().write(NOW, replace(INPUTS, speed=said), MOMENT))
     assert message["speed"] == {
         "limit": 0.2, "by": "people", "reason": "dora has it", "people": 0.2, "person": "dora",
         "since": 1_795_369_596.396012, "replaced": 0.5, "replaced_person": "bob",
     }  # fmt: skip
-    assert read(writer().write(NOW, SEEN, MOMENT))["speed"] is None
+    assert read(writer().write(NOW, INPUTS, MOMENT))["speed"] is None
 
     def controller(**counters: str) -> dict | None:
         told = {f"controller_{name}": value for name, value in counters.items()}
-        link = Shown(LinkReport("ARMED", "", "following", told, gateway_kind="rsi"), 0.0)
-        return read(writer().write(NOW, replace(SEEN, link=link), MOMENT))["link"]["controller"]
+        link = FreshReport(LinkReport("ARMED", "", "following", told, gateway_kind="rsi"), 0.0)
+        return read(writer().write(NOW, replace(INPUTS, link=link), MOMENT))["link"]["controller"]
 
     assert controller(mode="T1", program="ACTIVE", override_percent="12.5", sentence="x") == {
         "mode": "T1",
@@ -141,12 +141,12 @@ def test_what_version_5_adds_is_in_it():
     assert controller(override_percent="0") == {"mode": "", "program": "", "override_percent": 0.0}
     for told in ({}, {"sentence": ""}, {"mode": "", "program": "", "override_percent": ""}, {"override_percent": "?"}):
         assert controller(**told) is None
-    assert read(writer().write(NOW, replace(SEEN, link=None), MOMENT))["link"] is None
+    assert read(writer().write(NOW, replace(INPUTS, link=None), MOMENT))["link"] is None
 
 
 def test_messages_of_a_run_are_numbered_so_that_a_lost_or_old_one_is_noticed():
     first = writer()
-    assert [read(first.write(NOW, Seen(), MOMENT))["seq"] for _ in range(3)] == [1, 2, 3]
+    assert [read(first.write(NOW, ViewInputs(), MOMENT))["seq"] for _ in range(3)] == [1, 2, 3]
     farewell = read(first.offline())
     assert (farewell["online"], farewell["seq"], farewell["stamp"], farewell["run"]) == (False, 0, 0.0, "cafe")
     assert set(farewell) == set(SCHEMA["properties"]) and farewell["twin"] is farewell["link"] is None
@@ -158,8 +158,8 @@ def test_a_message_stays_small():
     pose = PoseView(NOW / NANOSECONDS, 0.0123456789, (-math.pi,) * 7)
     seven_values = (0.123456789,) * 7
     sync = SyncReport("HOLDING", "x" * 300, "resume", "", seven_values, seven_values, 0.03125, 0.02, 10**6)
-    seen = Seen(pose, pose, Shown(sync, 0.01), SEEN.link, SEEN.execution)
-    assert len(seven.write(NOW, seen, MOMENT)) < 2500
+    inputs = ViewInputs(pose, pose, FreshReport(sync, 0.01), INPUTS.link, INPUTS.execution)
+    assert len(seven.write(NOW, inputs, MOMENT)) < 2500
 
 
 # -- progress

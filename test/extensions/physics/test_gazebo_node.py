@@ -40,16 +40,16 @@ def become(monkeypatch):
     monkeypatch.setattr(os, "execvp", other)
 
 
-def tell(node: GazeboNode, scene: Scene) -> None:
+def send_scene(node: GazeboNode, scene: Scene) -> None:
     node.on_scene(scene_to_msg(scene, rospy.Time(1), "base_link"))
 
 
 def test_before_the_scene_is_known_it_waits(node):
-    assert node.report().sentence == "Gazebo is started when the scene is known"
+    assert node.diagnose().sentence == "Gazebo is started when the scene is known"
 
 
 def test_it_becomes_the_program_that_it_was_told_with_the_world_of_its_robot(node, become):
-    tell(node, SCENE)
+    send_scene(node, SCENE)
     with pytest.raises(Became) as became:
         node.run()
     program, *words, path = became.value.args
@@ -65,13 +65,13 @@ def test_a_scene_that_cannot_be_simulated_is_reported_and_the_next_one_is_used(n
     def make(bodies, scene, *more):
         made.append(scene.hash)
         if scene.objects:
-            tell(node, Scene())
+            send_scene(node, Scene())
             raise ConstructionTwinError("no such mesh")
-        assert node.report().level == module.ERROR and "no such mesh" in node.report().sentence
+        assert node.diagnose().level == module.ERROR and "no such mesh" in node.diagnose().sentence
         return world_of(bodies, scene, *more)
 
     monkeypatch.setattr(module, "world_of", make)
-    tell(node, SCENE)
+    send_scene(node, SCENE)
     with pytest.raises(Became):
         node.run()
     assert made == [SCENE.hash, Scene().hash]
@@ -86,7 +86,7 @@ def test_of_several_scenes_the_newest_is_simulated_and_after_a_signal_none(node,
         return world_of(bodies, scene, *more)
 
     monkeypatch.setattr(module, "world_of", make)
-    tell(node, Scene())
-    tell(node, SCENE)
+    send_scene(node, Scene())
+    send_scene(node, SCENE)
     node.run()
     assert made == [SCENE.hash]

@@ -10,13 +10,13 @@ from construction_twin.extensions.physics.grip import FRICTION, SuctionGrip
 from construction_twin.extensions.physics.model import GRAVITY
 from construction_twin.extensions.physics.rehearsal import Rehearsal
 from construction_twin.review.rehearsal_report import FAILED, PASSED
-from construction_twin.robot.tool import Cups, Place
+from construction_twin.robot.tool import Cups, FilePose
 from construction_twin.scene.objects import Scene, SceneObject
 
 TIP = robot_of("kr120").tip_link
 #: Four cups of 12 kg in a square, 0.25 m before the flange.
 CUPS = Cups(radius=0.02, holds=12.0, at=((-0.1, -0.1), (-0.1, 0.1), (0.1, -0.1), (0.1, 0.1)))
-PLACE = Place(xyz=(0.0, 0.0, 0.25))
+PLACE = FilePose(xyz=(0.0, 0.0, 0.25))
 GRIP = SuctionGrip.of(CUPS, PLACE)
 WEIGHT = 12.0 * GRAVITY
 

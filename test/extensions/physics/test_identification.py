@@ -9,7 +9,7 @@ import pytest
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.units import CYCLE, CYCLE_NS
-from construction_twin.extensions.physics.identification import Drive, identify, response, servo_file
+from construction_twin.extensions.physics.identification import RecordedMotion, identify, response, servo_file
 from construction_twin.servo.model import JointServo, read_servos
 
 #: One step of the wire, 3 decimals of a degree [rad].
@@ -26,10 +26,12 @@ def motion(cycles: int = 4000, speed: float = 1.0) -> np.ndarray:
     return 0.3 + np.cumsum(smooth) * CYCLE
 
 
-def drive(*servos: JointServo, targets=None) -> Drive:
+def drive(*servos: JointServo, targets=None) -> RecordedMotion:
     targets = motion() if targets is None else targets
     columns = [np.round(response(servo, targets, CYCLE) / STEP) * STEP for servo in servos]
-    return Drive(np.stack([targets] * len(servos), axis=1), np.stack(columns, axis=1), np.ones(len(targets), bool))
+    return RecordedMotion(
+        np.stack([targets] * len(servos), axis=1), np.stack(columns, axis=1), np.ones(len(targets), bool)
+    )
 
 
 @pytest.mark.parametrize(
@@ -66,14 +68,14 @@ def test_joints_that_do_not_move_are_refused_by_name():
     for joint in (0, 2):
         targets[:, joint] = measured[:, joint] = 0.4
     with pytest.raises(ConstructionTwinError, match="a, c"):
-        identify(("a", "b", "c"), [Drive(targets, measured, moving.counts)], CYCLE_NS)
+        identify(("a", "b", "c"), [RecordedMotion(targets, measured, moving.counts)], CYCLE_NS)
 
 
 def test_a_lag_that_cannot_be_told_is_refused():
     noisy = drive(JointServo(60.0, 0.8), targets=motion(1200, 0.3))
     noise = np.random.default_rng(3).normal(0.0, 0.02, noisy.measured.shape)
     with pytest.raises(ConstructionTwinError, match="lag"):
-        identify(("a",), [Drive(noisy.targets, noisy.measured + noise, noisy.counts)], CYCLE_NS)
+        identify(("a",), [RecordedMotion(noisy.targets, noisy.measured + noise, noisy.counts)], CYCLE_NS)
 
 
 def test_the_file_gives_back_what_was_found(tmp_path):

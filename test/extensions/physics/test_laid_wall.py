@@ -8,10 +8,10 @@ import pytest
 import work_samples
 from physics_samples import plan_of
 
-from construction_twin.extensions.physics.process import Question, rehearse
+from construction_twin.extensions.physics.process import RehearsalRequest, rehearse
 from construction_twin.extensions.work.ifc.reading import read_building
 from construction_twin.extensions.work.process import TaskMotions
-from construction_twin.extensions.work.site import read_site
+from construction_twin.extensions.work.work_cell import read_work_cell
 from construction_twin.planning.work_plan import joined
 from construction_twin.review.rehearsal_report import PASSED
 from construction_twin.robot.segments import Segment
@@ -26,14 +26,14 @@ def laid(request) -> tuple[tuple[str, ...], TaskMotions]:
     name, count = request.param
     model = read_building(ROOT / f"models/{name}.ifc")
     elements = [one for one in model.elements.values() if one.bodies]
-    layout = work_samples.layout(read_site(CONFIG / f"work/{name}.yaml"), work_samples.building(*elements))
+    layout = work_samples.layout(read_work_cell(CONFIG / f"work/{name}.yaml"), work_samples.building(*elements))
     lying, own = layout.order[:count], layout.order[count]
     scene = layout.scene({one: layout.base_T_goal(one) for one in lying})
     job = layout.job_for(own, scene)
     return lying, work_samples.planner().plan(job, work_samples.robot().home, scene)
 
 
-def question(laid, standing: tuple[str, ...], unweighed: tuple[str, ...] = ()) -> Question:
+def question(laid, standing: tuple[str, ...], unweighed: tuple[str, ...] = ()) -> RehearsalRequest:
     lying, motions = laid
     whole, ends = joined([segment.trajectory for segment in motions.segments])
     segments = tuple(
@@ -42,7 +42,7 @@ def question(laid, standing: tuple[str, ...], unweighed: tuple[str, ...] = ()) -
     )
     masses = {"tool": work_samples.tool().tool.mass} | {one: 3.5 for one in (*lying, motions.job.element.id)}
     scenes = {scene.hash: scene for scene in motions.scenes}
-    return Question(plan_of(whole, motions.scenes[0], segments), scenes, masses, "i", standing, unweighed)
+    return RehearsalRequest(plan_of(whole, motions.scenes[0], segments), scenes, masses, "i", standing, unweighed)
 
 
 ARM = {

@@ -21,7 +21,7 @@ PATH = [
 
 def twin_in(model: PhysicsModel) -> LiveTwin:
     twin = LiveTwin()
-    twin.take_model(model)
+    twin.set_model(model)
     return twin
 
 
@@ -30,7 +30,7 @@ def bytes_of_a_run() -> bytes:
     twin, told = twin_in(model_in()), []
     for number, commanded in enumerate(PATH):
         if number == 100:
-            twin.take_model(model_in(carrying(0.3)))
+            twin.set_model(model_in(carrying(0.3)))
         told += [*twin.cycle(commanded), *twin.effort]
     return struct.pack(f"{len(told)}d", *told)
 
@@ -42,9 +42,9 @@ def test_the_same_commands_give_the_same_bytes():
 def test_before_the_first_model_it_is_where_it_is_told_to_be_and_says_so():
     twin = LiveTwin()
     assert twin.cycle(HOME) == HOME and twin.effort == () == twin.contacts
-    assert twin.problem == "nothing is simulated before the scene is known: the twin is where it is told to be"
-    twin.take_model(model_in())
-    assert twin.problem == ""
+    assert twin.fault == "nothing is simulated before the scene is known: the twin is where it is told to be"
+    twin.set_model(model_in())
+    assert twin.fault == ""
 
 
 def test_another_scene_takes_pose_speed_and_servo_over():
@@ -52,7 +52,7 @@ def test_another_scene_takes_pose_speed_and_servo_over():
     for number, commanded in enumerate(PATH):
         if number == 150:
             # it differs by what the arm never comes near; kinematics are computed anew
-            changed.take_model(model_in(FLOOR.add(SceneObject("far", "box", (0.1,) * 3, (5.0, 5.0, 5.0)))))
+            changed.set_model(model_in(FLOOR.add(SceneObject("far", "box", (0.1,) * 3, (5.0, 5.0, 5.0)))))
         assert np.abs(np.array(plain.cycle(commanded)) - changed.cycle(commanded)).max() < 1e-7
 
 
@@ -92,7 +92,7 @@ def test_a_state_that_has_become_useless_is_counted_and_begun_anew_where_it_is_c
     twin.cycle(HOME)
     # the gate lets no such command pass: it stands for whatever else may make numbers useless
     twin.cycle((float("nan"),) * 6)
-    assert twin.diverged == 1 and twin.problem == (
+    assert twin.diverged == 1 and twin.fault == (
         "the simulation was begun anew at the commanded pose, because its numbers had become useless: 1 times so far"
     )
     assert np.abs(np.array(twin.cycle(HOME)) - HOME).max() < 1e-7

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.extensions.physics.mass import LEAST_MASS, MassProperties, of_link, of_shape, together
+from construction_twin.extensions.physics.mass import LEAST_MASS, MassProperties, combined, of_link, of_shape
 
 SIZES = st.tuples(*[st.floats(0.02, 3.0)] * 3)
 
@@ -56,7 +56,7 @@ def test_parts_together_are_what_pinocchio_makes_of_them(one, other, angle):
     away = pinocchio.SE3(pinocchio.utils.rpyToMatrix(angle, 0.3, -angle), np.array((0.4, -angle, 0.2)))
     parts = [of_shape(coal.Box(*one)), of_shape(coal.Box(*other)).at(away)]
     expected = sum_of([pinocchio.Inertia(part.mass, part.centre, part.inertia) for part in parts])
-    found = together(parts)
+    found = combined(parts)
     assert found.mass == pytest.approx(expected.mass)
     np.testing.assert_allclose(found.centre, expected.lever, atol=1e-9)
     np.testing.assert_allclose(found.inertia, expected.inertia, rtol=1e-9, atol=1e-9)

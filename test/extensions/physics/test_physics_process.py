@@ -25,7 +25,7 @@ def test_its_models_are_those_of_this_process(build):
     for scene in (FLOOR, carrying(0.3)):
         here, there = LiveTwin(), LiveTwin()
         own, other = model_in(scene), build(scene)
-        here.take_model(own), there.take_model(other)
+        here.set_model(own), there.set_model(other)
         for share in np.linspace(0.0, 0.1, 50):
             commanded = tuple(np.array(ROBOT.home) + share)
             assert here.cycle(commanded) == there.cycle(commanded)

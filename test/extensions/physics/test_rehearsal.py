@@ -16,7 +16,7 @@ from construction_twin.extensions.physics.drive import PayloadRating
 from construction_twin.extensions.physics.mass import of_shape
 from construction_twin.extensions.physics.rehearsal import Rehearsal
 from construction_twin.kinematics.chain import Chain
-from construction_twin.review.rehearsal_report import BROKEN, FAILED, PASSED, AxisLoad, finished, is_whole
+from construction_twin.review.rehearsal_report import BROKEN, FAILED, PASSED, AxisLoad, is_whole, with_hash
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.robot.segments import Segment
 from construction_twin.scene.objects import Scene, SceneObject
@@ -39,7 +39,7 @@ def tile(link: bool, q: np.ndarray = READY, beyond: float = 0.15) -> SceneObject
     return SceneObject("tile", "box", (0.3, 0.3, 0.04), (x, y, z))
 
 
-def says(report, words: str) -> bool:
+def has_reason(report, words: str) -> bool:
     return any(words in reason for reason in report.reasons)
 
 
@@ -57,7 +57,7 @@ def test_a_wall_in_the_way_is_named_with_the_time():
     wall = SceneObject("wall", "box", (1.5, 0.05, 1.5), (1.6, -0.7, 1.5))
     report = rehearse(between(READY, READY + np.array((1.2, 0, 0, 0, 0, 0)), 3.0), Scene((FLOOR, wall)))
     assert report.state == FAILED
-    assert says(report, " touches ")
+    assert has_reason(report, " touches ")
     assert all(contact.second == "wall" for contact in report.contacts)
     assert all(0.2 < contact.time < 2.8 and contact.force > 100.0 for contact in report.contacts)
     # on the side of the wall that the arm comes from, below the arm's reach
@@ -65,7 +65,7 @@ def test_a_wall_in_the_way_is_named_with_the_time():
         x, y, z = contact.point
         assert 0.8 < x < 2.4 and y == pytest.approx(-0.7, abs=0.06) and 0.7 < z < 2.3
     # the wall's push is none of the plan's torques
-    assert not says(report, " needs ")
+    assert not has_reason(report, " needs ")
     # two links that press for two seconds do so for no longer than the rehearsal lasts
     assert all(contact.seconds <= report.duration + 2.0 for contact in report.contacts)
 
@@ -73,7 +73,7 @@ def test_a_wall_in_the_way_is_named_with_the_time():
 def test_a_load_beyond_the_rating_fails():
     load = of_shape(coal.Box(0.3, 0.3, 0.3)).scaled_to(130.0)
     report = rehearse(SMALL, flange=load)
-    assert len(report.reasons) == 1 and says(report, "the load's mass is")
+    assert len(report.reasons) == 1 and has_reason(report, "the load's mass is")
     assert (report.payload.mass, report.payload.rated_mass) == (130.0, 120.0)
     assert not report.payload.estimated
     assert rehearse(SMALL, flange=of_shape(coal.Box(0.3, 0.3, 0.3)).scaled_to(119.0)).state == PASSED
@@ -90,7 +90,7 @@ def test_a_load_beyond_the_rating_fails():
 def test_a_load_that_is_spread_too_far_fails(rating, reason):
     load = replace(of_shape(coal.Box(0.3, 0.3, 0.3)).scaled_to(50.0), centre=np.array((0.1, 0.0, 0.3)))
     report = rehearse(SMALL, flange=load, drives=replace(drives(), rating=rating))
-    assert len(report.reasons) == 1 and says(report, reason)
+    assert len(report.reasons) == 1 and has_reason(report, reason)
 
 
 def test_a_motion_that_is_too_fast_for_a_drive_names_axis_and_time():
@@ -106,7 +106,7 @@ def test_a_motion_that_is_too_fast_for_a_drive_names_axis_and_time():
 
 def test_a_tile_that_is_let_go_in_mid_air_falls():
     report = rehearse(between(READY, ASIDE, 2.0), Scene((FLOOR, tile(True))), Scene((FLOOR, tile(False, ASIDE))))
-    assert says(report, "falls")
+    assert has_reason(report, "falls")
     (found,) = report.objects
     assert found.name == "tile"
     assert found.released == 2.0
@@ -131,7 +131,7 @@ def neighbour() -> SceneObject:
 
 def test_a_neighbour_that_stands_in_the_way_is_knocked_over():
     report = rehearse(between(READY, ASIDE, 2.0), Scene((FLOOR, neighbour())), masses={"neighbour": 20.0})
-    assert says(report, " touches ") and says(report, "which the plan does not touch, moves")
+    assert has_reason(report, " touches ") and has_reason(report, "which the plan does not touch, moves")
     (found,) = report.objects
     assert found.name == "neighbour"
     assert math.isnan(found.released)
@@ -155,7 +155,7 @@ def test_a_scene_that_is_not_known_breaks_the_rehearsal():
 def test_a_simulation_that_comes_apart_has_failed(monkeypatch):
     monkeypatch.setattr(model, "GRAVITY", 1e13)
     report = rehearse(SMALL)
-    assert report.state == FAILED and len(report.reasons) == 1 and says(report, "the simulation came apart")
+    assert report.state == FAILED and len(report.reasons) == 1 and has_reason(report, "the simulation came apart")
 
 
 def test_an_estimated_mass_is_named_and_one_that_is_said_is_not():
@@ -292,8 +292,8 @@ def test_every_load_of_a_plan_is_judged_and_the_largest_of_each_number_is_told(m
     known = dict(zip(("near", "far"), masses))
     report = rehearse(SMALL, *scenes, drives=rated, masses=known)
     alone = [rehearse(SMALL, scene, drives=rated, masses=known).payload for scene in scenes]
-    assert says(report, {"mass": "the load's mass is", "inertia": "moment of inertia"}[number])
-    assert says(report, "the load's centre of mass")
+    assert has_reason(report, {"mass": "the load's mass is", "inertia": "moment of inertia"}[number])
+    assert has_reason(report, "the load's centre of mass")
     assert report.payload.mass == max(masses)
     assert report.payload.inertia == max(load.inertia for load in alone) == alone[1].inertia
     assert report.payload.along == max(load.along for load in alone) > 0.9
@@ -314,7 +314,7 @@ class TestNumbersThatAreNone:
 
         monkeypatch.setattr(SimulatedArm, "follow", broken)
         report = rehearse(SMALL)
-        assert report.state == FAILED and len(report.reasons) == 1 and says(report, "the simulation came apart")
+        assert report.state == FAILED and len(report.reasons) == 1 and has_reason(report, "the simulation came apart")
         assert report.reasons[0].values["time"] == pytest.approx(0.5, abs=0.01)
 
     @pytest.mark.parametrize("bad", [math.nan, math.inf])
@@ -325,12 +325,12 @@ class TestNumbersThatAreNone:
             lambda *numbers: replace(AxisLoad(*numbers), rms=bad if numbers[0] == "joint_a3" else 0.0),
         )
         report = rehearse(SMALL)
-        assert report.state == FAILED and len(report.reasons) == 1 and says(report, "the simulation came apart")
+        assert report.state == FAILED and len(report.reasons) == 1 and has_reason(report, "the simulation came apart")
 
 
 def test_a_report_that_passed_for_reasons_is_none():
     passed = rehearse(SMALL)
     assert passed.state == PASSED and is_whole(passed)
-    failed = finished(replace(passed, state=FAILED, reasons=("why",)), 0.0)
+    failed = with_hash(replace(passed, state=FAILED, reasons=("why",)), 0.0)
     assert is_whole(failed)
-    assert not is_whole(finished(replace(failed, state=PASSED), 0.0))
+    assert not is_whole(with_hash(replace(failed, state=PASSED), 0.0))

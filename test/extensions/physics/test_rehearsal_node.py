@@ -19,9 +19,9 @@ from construction_twin.core.extensions import check_extras
 from construction_twin.core.worker import Worker, WorkerError
 from construction_twin.extensions.physics.nodes import rehearsal as module
 from construction_twin.extensions.physics.nodes.rehearsal import NODE, Settings
-from construction_twin.extensions.physics.process import PROGRAM, Question
+from construction_twin.extensions.physics.process import PROGRAM, RehearsalRequest
 from construction_twin.planning.timing import time_path
-from construction_twin.review.rehearsal_report import BROKEN, FAILED, PASSED, RehearsalReport, finished
+from construction_twin.review.rehearsal_report import BROKEN, FAILED, PASSED, RehearsalReport, with_hash
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.messages.convert import plan_to_msg
@@ -54,25 +54,25 @@ class Process:
     """What rehearses, as the node sees it: it answers at once, or as a test says."""
 
     def __init__(self):
-        self.questions: list[Question] = []
+        self.requests: list[RehearsalRequest] = []
         self.closed = 0
         self.asked, self.interrupted = threading.Event(), threading.Event()
         self.answers = True
         self.error: WorkerError | None = None
         self.interrupts = 0
 
-    def ask(self, name, arm, question: Question) -> RehearsalReport:
+    def ask(self, name, arm, request: RehearsalRequest) -> RehearsalReport:
         assert name == "rehearse"
         self.tool = tool_hash(arm["tool"])
-        self.questions.append(question)
+        self.requests.append(request)
         self.asked.set()
         if self.error is not None:
             raise self.error
         if not self.answers:
             assert self.interrupted.wait(SOON)
             raise WorkerError("", "signal 9")
-        plan = question.plan
-        return finished(RehearsalReport(plan.id, plan.hash, plan.scene, self.tool, question.inputs, PASSED), 0.1)
+        plan = request.plan
+        return with_hash(RehearsalReport(plan.id, plan.hash, plan.scene, self.tool, request.inputs, PASSED), 0.1)
 
     def interrupt(self) -> None:
         self.interrupts += 1
@@ -100,18 +100,18 @@ class Bench:
         # nobody says what an element weighs
         self.plug.callbacks["work/tasks"](WorkTasks())
 
-    def hear_plan(self, plan: Plan, changes=CHANGES) -> None:
+    def send_plan(self, plan: Plan, changes=CHANGES) -> None:
         path = np.zeros((len(plan.trajectory.times), 3))
         self.plug.callbacks["plan"](plan_to_msg(plan, "base_link", path, changes if plan.segments else ()))
 
-    def hear_verdict(self, name: str, approved: bool = False) -> None:
+    def send_verdict(self, name: str, approved: bool = False) -> None:
         self.plug.callbacks["review"](Review(plan_id=name, approved=approved, reviewer="executor"))
 
     def begin(self, name: str) -> threading.Thread:
         """Have a plan rehearsed, by a process that does not come to an end, and return who waits for it."""
         self.process.answers = False
         self.process.asked.clear()
-        self.hear_plan(plain_plan(name))
+        self.send_plan(plain_plan(name))
         running = threading.Thread(target=self.node.work, args=(0.0,))
         running.start()
         assert self.process.asked.wait(SOON)
@@ -124,7 +124,7 @@ class Bench:
             self.node.work(0.0)
         return [message.plan_id for message in self.published]
 
-    def hear_scene(self, scene: Scene = SCENES[0]) -> None:
+    def send_scene(self, scene: Scene = SCENES[0]) -> None:
         self.plug.callbacks["scene"](scene_to_msg(scene, rospy.Time(1), "base_link"))
 
     @property
@@ -139,39 +139,39 @@ def bench(monkeypatch) -> Bench:
 
 class TestWhatIsRehearsed:
     def test_each_plan_in_the_scene_that_it_begins_in(self, bench):
-        bench.hear_scene()
+        bench.send_scene()
         plan = plain_plan()
-        bench.hear_plan(plan)
+        bench.send_plan(plan)
         bench.node.work(0.0)
-        (question,) = bench.process.questions
-        assert (question.plan.hash, set(question.scenes)) == (plan.hash, {SCENES[0].hash})
+        (request,) = bench.process.requests
+        assert (request.plan.hash, set(request.scenes)) == (plan.hash, {SCENES[0].hash})
         found = bench.newest
         assert (found.plan_id, found.plan_hash, found.scene, found.state, found.stamp) == (
             "p", plan.hash, SCENES[0].hash, PASSED, 5,
         )  # fmt: skip
 
     def test_of_a_work_plan_the_scenes_of_all_its_segments(self, bench):
-        bench.hear_scene()
-        bench.hear_plan(work_plan(SCENES))
+        bench.send_scene()
+        bench.send_plan(work_plan(SCENES))
         bench.node.work(0.0)
-        assert set(bench.process.questions[0].scenes) == {scene.hash for scene in SCENES}
+        assert set(bench.process.requests[0].scenes) == {scene.hash for scene in SCENES}
 
     def test_a_change_that_leads_elsewhere_is_a_broken_rehearsal(self, bench):
-        bench.hear_scene()
-        bench.hear_plan(work_plan(SCENES), (SceneChange((BUILT,)), *CHANGES[1:]))
+        bench.send_scene()
+        bench.send_plan(work_plan(SCENES), (SceneChange((BUILT,)), *CHANGES[1:]))
         bench.node.work(0.0)
         assert bench.newest.state == BROKEN and SCENES[1].hash in bench.newest.reasons[0]
-        assert bench.process.questions == []
+        assert bench.process.requests == []
 
 
 class TestAPlanThatTheExecutorRefuses:
     """It has superseded the one under review, which is taken up again."""
 
     def test_while_it_is_rehearsed(self, bench):
-        bench.hear_scene()
-        bench.hear_plan(plain_plan("p1"))
+        bench.send_scene()
+        bench.send_plan(plain_plan("p1"))
         running = bench.begin("p2")
-        bench.hear_verdict("p2")
+        bench.send_verdict("p2")
         running.join(SOON)
         assert not running.is_alive()
         assert bench.rehearsed == ["p1"]
@@ -185,22 +185,22 @@ class TestMasses:
             for name, mass in (("beam", 42.0), ("u", math.nan), ("v", 3.0))
         ]
         bench.plug.callbacks["work/tasks"](WorkTasks(tasks=tasks))
-        bench.hear_scene()
-        bench.hear_plan(work_plan(SCENES))
+        bench.send_scene()
+        bench.send_plan(work_plan(SCENES))
         bench.node.work(0.0)
-        assert bench.process.questions[0].masses == {"beam": 42.0}
+        assert bench.process.requests[0].masses == {"beam": 42.0}
         frame = dataclasses.replace(STOCK, name="tool/frame", link="tool0")
         equipped = Scene((frame,), 0.01)
-        bench.hear_scene(equipped)
-        bench.hear_plan(dataclasses.replace(plain_plan("p2"), scene=equipped.hash))
+        bench.send_scene(equipped)
+        bench.send_plan(dataclasses.replace(plain_plan("p2"), scene=equipped.hash))
         bench.node.work(0.0)
-        assert bench.process.questions[1].masses == {"tool": 18.0}
+        assert bench.process.requests[1].masses == {"tool": 18.0}
         assert bench.newest.tool == tool_hash(bench.settings.tool) != ""
 
     def test_of_what_earlier_tasks_have_placed_and_who_says_none_is_named(self, bench):
         stands = [dataclasses.replace(STOCK, name=f"{name}/0") for name in ("laid", "guessed", "waits")]
         scene = Scene((*SCENES[0].objects, *stands), 0.01)
-        bench.hear_scene(scene)
+        bench.send_scene(scene)
         hashes = []
         # what is not in the scene counts for nothing
         for state in ("done", "ready"):
@@ -211,10 +211,10 @@ class TestMasses:
                 )
             ]  # fmt: skip
             bench.plug.callbacks["work/tasks"](WorkTasks(tasks=tasks))
-            bench.hear_plan(dataclasses.replace(plain_plan(state), scene=scene.hash))
+            bench.send_plan(dataclasses.replace(plain_plan(state), scene=scene.hash))
             bench.node.work(0.0)
             hashes.append(bench.newest.inputs)
-        laid, ready = bench.process.questions
+        laid, ready = bench.process.requests
         assert (laid.masses, laid.standing, laid.unweighed) == ({"laid": 3.5}, ("laid",), ("guessed",))
         assert (ready.masses, ready.standing, ready.unweighed) == ({}, (), ("guessed",))
         assert hashes[0] != hashes[1]
@@ -225,43 +225,43 @@ class TestBroken:
         bench = Bench(monkeypatch)
         silent = Unplugged(monkeypatch, NODE, SETTINGS, ROBOT)
         bench.plug, bench.node, bench.published = silent, silent.node, silent.published["rehearsal"]
-        bench.hear_scene()
-        bench.hear_plan(work_plan(SCENES))
+        bench.send_scene()
+        bench.send_plan(work_plan(SCENES))
         bench.node.work(0.0)
         assert bench.newest.state == BROKEN and "task t" in bench.newest.reasons[0]
         # a plan of no task needs none
-        bench.hear_plan(plain_plan())
+        bench.send_plan(plain_plan())
         bench.node.work(0.0)
         assert bench.newest.state == PASSED
 
     def test_a_process_that_ends_is_an_answer_and_the_next_plan_has_its_own(self, bench):
-        bench.hear_scene()
+        bench.send_scene()
         bench.process.error = WorkerError("", "signal 11")
-        bench.hear_plan(plain_plan("p1"))
+        bench.send_plan(plain_plan("p1"))
         bench.node.work(0.0)
         assert bench.newest.state == BROKEN and "signal 11" in bench.newest.reasons[0]
         bench.process.error = None
-        bench.hear_plan(plain_plan("p2"))
+        bench.send_plan(plain_plan("p2"))
         bench.node.work(0.0)
         assert (bench.newest.plan_id, bench.newest.state) == ("p2", PASSED)
 
     def test_one_that_is_late_is_broken_off_and_says_so(self, monkeypatch):
         bench = Bench(monkeypatch, time_limit=0.01)
         bench.process.answers = False
-        bench.hear_scene()
-        bench.hear_plan(plain_plan())
+        bench.send_scene()
+        bench.send_plan(plain_plan())
         bench.node.work(0.0)
         assert bench.newest.state == BROKEN and "0.01 s" in bench.newest.reasons[0]
         assert bench.process.closed == 1
 
     def test_a_newer_plan_supersedes_the_one_that_runs(self, bench):
         bench.process.answers = False
-        bench.hear_scene()
-        bench.hear_plan(plain_plan("p1"))
+        bench.send_scene()
+        bench.send_plan(plain_plan("p1"))
         running = threading.Thread(target=bench.node.work, args=(0.0,))
         running.start()
         assert bench.process.asked.wait(SOON)
-        bench.hear_plan(plain_plan("p2"))
+        bench.send_plan(plain_plan("p2"))
         running.join(SOON)
         assert not running.is_alive() and bench.published == []
         bench.node.work(0.0)
@@ -283,8 +283,8 @@ def test_without_mujoco_it_rests_where_nobody_asked_for_it_and_else_does_not_sta
     rests = Unplugged(monkeypatch, NODE, SETTINGS.model_copy(update={"mode": "auto"}), ROBOT)
     rests.callbacks["plan"](plan_to_msg(plain_plan(), "base_link", np.zeros((2, 3))))
     rests.node.work(0.0)
-    assert rests.published["rehearsal"] == [] and bench.process.questions == []
-    assert "mujoco" in rests.node.report().sentence
+    assert rests.published["rehearsal"] == [] and bench.process.requests == []
+    assert "mujoco" in rests.node.diagnose().sentence
     NODE.check(SETTINGS.model_copy(update={"mode": "auto"}), ROBOT, {})
     with pytest.raises(ConfigurationError):
         NODE.check(SETTINGS, ROBOT, {})
@@ -297,18 +297,18 @@ def test_the_process_rehearses_a_plan_and_its_result_crosses_the_topic_unchanged
         tool = str(ROOT / "config/tools/vacuum_frame.yaml")
         arm = {"robot": ROBOT, "self_collision": SETTINGS.self_collision, "drives": SETTINGS.drives, "tool": tool}
         plan = plain_plan()
-        question = Question(plan, {SCENES[0].hash: SCENES[0]}, {}, "i")
-        report = process.ask("rehearse", arm=arm, question=question)
+        request = RehearsalRequest(plan, {SCENES[0].hash: SCENES[0]}, {}, "i")
+        report = process.ask("rehearse", arm=arm, request=request)
         assert (report.state, report.plan_hash, report.inputs) == (PASSED, plan.hash, "i"), report.reasons
         assert report.tool == tool_hash(tool)
         assert [axis.joint for axis in report.axes] == list(ROBOT.joint_names)
         back = from_msg(RehearsalReport, to_msg(report, Rehearsal))
-        assert finished(back, back.took).hash == report.hash == back.hash
+        assert with_hash(back, back.took).hash == report.hash == back.hash
         assert back == report
         # a held beam that weighs far more than the arm may carry
         work = work_plan(SCENES)
         scenes = {scene.hash: scene for scene in SCENES}
-        heavy = process.ask("rehearse", arm=arm, question=Question(work, scenes, {"beam": 240.0}, "i"))
+        heavy = process.ask("rehearse", arm=arm, request=RehearsalRequest(work, scenes, {"beam": 240.0}, "i"))
         assert heavy.state == FAILED and heavy.payload.mass == pytest.approx(240.0)
         assert not heavy.payload.estimated and "240.0 kg" in heavy.reasons[0]
     finally:

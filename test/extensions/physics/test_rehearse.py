@@ -118,15 +118,15 @@ def bag(tmp_path):
     return file
 
 
-def said_of(arguments: list[str], capsys) -> dict:
+def report_of(arguments: list[str], capsys) -> dict:
     assert main([*arguments, "--json"]) in (PASSED, FAILED)
     return json.loads(capsys.readouterr().out)
 
 
 def test_of_a_bag_the_newest_plan_is_rehearsed_or_the_one_that_is_named(bag, wall, capsys):
     # the wall stands on one side: which plan was taken shows in what it touches
-    newest = said_of([str(bag), "--scene", str(wall)], capsys)
-    named = said_of([str(bag), "--scene", str(wall), "--plan-id", "p1"], capsys)
+    newest = report_of([str(bag), "--scene", str(wall)], capsys)
+    named = report_of([str(bag), "--scene", str(wall), "--plan-id", "p1"], capsys)
     assert (newest["state"], newest["contacts"]) == ("passed", [])
     assert named["state"] == "failed" and named["contacts"][0]["second"] == "wall"
     assert newest["duration"] == named["duration"] == 2.0

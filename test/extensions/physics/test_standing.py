@@ -8,7 +8,7 @@ import pytest
 from physics_samples import READY, between, bricks, rehearse, robot_of
 from scene_samples import FLOOR
 
-from construction_twin.extensions.physics.standing import MOST, nearest
+from construction_twin.extensions.physics.standing import MOST, nearest_bodies
 from construction_twin.kinematics.chain import Chain
 from construction_twin.review.rehearsal_report import FAILED, PASSED, RehearsalReport
 from construction_twin.scene.objects import Scene, SceneObject
@@ -30,7 +30,7 @@ def fixed(report: RehearsalReport) -> list[str]:
     return [remark for remark in report.remarks if "fixed in this rehearsal" in remark]
 
 
-def told(report: RehearsalReport, words: str) -> str:
+def remark_with(report: RehearsalReport, words: str) -> str:
     (remark,) = [each for each in report.remarks if words in each]
     return remark
 
@@ -56,7 +56,7 @@ def test_a_wall_with_mortar_that_the_scene_does_not_have_is_fixed_and_told(bed, 
     wall = bricks(bed=bed)
     report = rehearse(between(READY, ASIDE, 2.0), Scene((FLOOR, *wall)), masses=weights(wall))
     assert (report.state, report.objects) == (PASSED, ())
-    remark = told(report, "they would move without any plan")
+    remark = remark_with(report, "they would move without any plan")
     assert float(re.search(r"by up to ([\d.]+) mm", remark)[1]) == pytest.approx(sinks, abs=0.2)
     # the lowest course stands
     assert "brick1.0" in remark and "brick4.1" in remark and "brick0." not in remark
@@ -71,7 +71,7 @@ def test_what_would_fall_by_itself_is_told_and_not_blamed_on_the_plan():
     objects = (standing, hanging, tilted)
     report = rehearse(between(READY, ASIDE, 2.0), Scene((FLOOR, *objects)), masses=weights(objects))
     assert (report.state, report.objects) == (PASSED, ())
-    remark = told(report, "they would move without any plan")
+    remark = remark_with(report, "they would move without any plan")
     assert "'hanging', 'tilted'" in remark and "standing" not in remark
 
 
@@ -102,7 +102,7 @@ def test_the_same_strike_gives_the_same_bytes_and_a_fixed_wall_only_contacts():
     assert repr(first) == repr(second)
     unweighed, _ = struck(masses={"block": 20.0}, unweighed=tuple(item.name for item in wall))
     assert unweighed.state == FAILED and unweighed.objects == ()
-    assert "brick3.1" in told(unweighed, "nobody says what they weigh")
+    assert "brick3.1" in remark_with(unweighed, "nobody says what they weigh")
 
 
 def test_of_many_bodies_those_near_the_path_can_be_tipped_over():
@@ -116,5 +116,5 @@ def test_of_many_bodies_those_near_the_path_can_be_tipped_over():
         fixed(report)
     )
     bodies = {item.name: item.name for item in objects}
-    ordered = nearest(objects, bodies, robot_of("kr120"), np.linspace(READY, ASIDE, 100))
+    ordered = nearest_bodies(objects, bodies, robot_of("kr120"), np.linspace(READY, ASIDE, 100))
     assert ordered[0] == "near" and set(ordered) == set(bodies)

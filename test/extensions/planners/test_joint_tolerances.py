@@ -43,7 +43,7 @@ def test_zero_is_the_default_negative_no_bound_and_the_rest_as_asked():
         Asked(NAMES[2], -1.0, -1.0, -1.0),
         Asked(NAMES[3], 0.2, 0.5),
     ]
-    taken = DEFAULT.asked(ROBOT, asked)
+    taken = DEFAULT.overridden_by(ROBOT, asked)
     assert taken.position == (0.01, 0.01, math.inf, 0.2, 0.01, 0.01)
     assert taken.velocity == (math.inf, math.inf, math.inf, 0.5, math.inf, math.inf)
     assert taken.acceleration == (math.inf,) * 6
@@ -56,7 +56,7 @@ def test_a_default_of_zero_is_no_bound_and_prismatic_joints_have_their_own():
 
 @pytest.mark.parametrize("joint", range(6))
 def test_a_joint_that_is_off_is_named_with_value_and_tolerance(joint):
-    tolerances = DEFAULT.asked(ROBOT, [Asked(name, 0.1, 0.2, 0.3) for name in NAMES])
+    tolerances = DEFAULT.overridden_by(ROBOT, [Asked(name, 0.1, 0.2, 0.3) for name in NAMES])
     assert tolerances.violation(ROBOT, off(joint, -0.1), off(joint, 0.2), off(joint, 0.3)) == ""
     name = NAMES[joint]
     for quantity, errors, error, bound in (
@@ -84,19 +84,19 @@ def test_a_tolerance_of_a_foreign_joint_or_of_no_number_is_refused():
         GoalJointsError,
         match=f"goal_tolerance names the joint 'elbow'; expected only {', '.join(NAMES)}",
     ):
-        DEFAULT.asked(ROBOT, [Asked("elbow", 0.1)])
+        DEFAULT.overridden_by(ROBOT, [Asked("elbow", 0.1)])
     with pytest.raises(
         GoalError,
         match="goal_tolerance: the velocity of joint_a1 is nan",
     ):
-        DEFAULT.asked(ROBOT, [Asked("joint_a1", 0.1, math.nan)])
+        DEFAULT.overridden_by(ROBOT, [Asked("joint_a1", 0.1, math.nan)])
 
 
 @pytest.mark.parametrize("second", [0.2, 0.1])
 def test_a_tolerance_of_a_joint_that_is_named_twice_is_refused(second):
     asked = [Asked("joint_a1", 0.1), Asked("joint_a1", second)]
     with pytest.raises(GoalError, match="goal_tolerance names joint_a1 twice; expected once"):
-        DEFAULT.asked(ROBOT, asked)
+        DEFAULT.overridden_by(ROBOT, asked)
 
 
 @pytest.mark.parametrize(

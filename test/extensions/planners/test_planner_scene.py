@@ -26,7 +26,7 @@ TOOL = SceneObject(
 )
 
 
-def told(scene: Scene) -> PlannerScene:
+def scene_for_planner(scene: Scene) -> PlannerScene:
     return planner_scene(RobotBodies(kr120()), scene, kr120_pairs())
 
 
@@ -66,7 +66,7 @@ def floats(line: str, count: int) -> tuple[float, ...]:
 
 
 def test_what_stands_is_grown_by_both_paddings_and_what_is_carried_by_its_own():
-    wall, pipe, ball, tool = told(Scene((WALL, PIPE, BALL, TOOL), padding=0.02)).objects
+    wall, pipe, ball, tool = scene_for_planner(Scene((WALL, PIPE, BALL, TOOL), padding=0.02)).objects
     assert wall.dimensions == pytest.approx((0.26, 2.06, 1.56))
     assert pipe.dimensions == pytest.approx((0.12, 3.04)) and ball.dimensions == pytest.approx((0.27,))
     assert tool.dimensions == pytest.approx((0.11, 0.11, 0.21))
@@ -74,7 +74,7 @@ def test_what_stands_is_grown_by_both_paddings_and_what_is_carried_by_its_own():
 
 
 def test_moveit_reads_the_text_back_as_the_same_objects():
-    text, remarks = scene_text(told(Scene((WALL, PIPE, BALL), padding=0.02)), "kr120 0123")
+    text, remarks = scene_text(scene_for_planner(Scene((WALL, PIPE, BALL), padding=0.02)), "kr120 0123")
     name, objects = read(text)
     assert name == "kr120 0123" and remarks == () and list(objects) == ["wall", "pipe", "a ball"]
     assert objects["wall"]["size"] == pytest.approx((0.26, 2.06, 1.56))
@@ -87,7 +87,7 @@ def test_moveit_reads_the_text_back_as_the_same_objects():
 def test_a_mesh_is_written_with_its_scale_and_without_padding(tmp_path):
     file = write_stl(tmp_path / "block.stl", box_triangles((1.0, 2.0, 3.0)))
     block = SceneObject("block", "mesh", (0.1, 0.1, 0.1), (3.0, 0.0, 0.0), mesh=file)
-    text, remarks = scene_text(told(Scene((block,), padding=0.02)), "x")
+    text, remarks = scene_text(scene_for_planner(Scene((block,), padding=0.02)), "x")
     (item,) = read(text)[1].values()
     extent = np.ptp(np.array(item["vertices"]), axis=0)
     np.testing.assert_allclose(extent, (0.1, 0.2, 0.3), atol=1e-6)
@@ -96,14 +96,14 @@ def test_a_mesh_is_written_with_its_scale_and_without_padding(tmp_path):
 
 
 def test_a_carried_object_is_no_part_of_the_text_and_that_is_said():
-    text, remarks = scene_text(told(Scene((WALL, TOOL))), "x")
+    text, remarks = scene_text(scene_for_planner(Scene((WALL, TOOL))), "x")
     assert list(read(text)[1]) == ["wall"]
     assert remarks == ("'gripper' is carried by tool0: the format has no carried objects, attach it in the panel",)
 
 
 def test_poses_are_in_the_root_of_the_urdf():
     """MoveIt plans there; the arm's base may stand elsewhere."""
-    one = told(Scene((PIPE,)))
+    one = scene_for_planner(Scene((PIPE,)))
     raised = PlannerScene(
         one.objects, one.names, one.allowed, one.fixed_links, Pose(np.array([0.0, 0.0, 0.8]), np.eye(3)), ()
     )
@@ -113,7 +113,7 @@ def test_poses_are_in_the_root_of_the_urdf():
 
 def test_who_is_checked_with_whom_is_what_our_own_world_checks():
     scene = Scene((WALL, PIPE, TOOL), padding=0.02)
-    seen = told(scene)
+    seen = scene_for_planner(scene)
     index = {name: number for number, name in enumerate(seen.names)}
     assert (seen.allowed == seen.allowed.T).all() and seen.allowed.diagonal().all()
 
@@ -137,7 +137,7 @@ def test_whatever_our_world_calls_a_contact_lies_in_the_grown_shapes(seed):
     """Of clutter, as points on the surface of every object's own shape moved outward by less than its margin."""
     scene = Scene(clutter(seed, 5).objects, padding=0.03)
     random = np.random.default_rng(seed)
-    for item, grown in zip(scene.objects, told(scene).objects):
+    for item, grown in zip(scene.objects, scene_for_planner(scene).objects):
         outward = random.normal(size=3)
         outward *= (scene.padding + item.padding) / np.linalg.norm(outward)
         if item.shape == "box":
@@ -164,5 +164,5 @@ def test_it_is_the_scene_of_a_world_that_was_checked():
     with pytest.raises(Exception) as ours:
         CollisionWorld(kr120(), wrong, kr120_pairs())
     with pytest.raises(type(ours.value)) as theirs:
-        told(wrong)
+        scene_for_planner(wrong)
     assert str(ours.value) == str(theirs.value)

@@ -218,7 +218,7 @@ class Wire:
         self.messages.append(message_types()["moveit_msgs/PlanningScene"]().deserialize(buffer.getvalue()))
 
 
-def told(*scenes: Scene) -> list:
+def published_messages(*scenes: Scene) -> list:
     wire = Wire()
     publisher = PlanningScenePublisher(TYPES, kr120(), kr120_pairs(), wire)
     for scene in scenes:
@@ -226,7 +226,7 @@ def told(*scenes: Scene) -> list:
     return wire.messages
 
 
-def taken(messages) -> MoveitScene:
+def scene_after(messages) -> MoveitScene:
     scene = MoveitScene()
     for message in messages:
         scene.take(message)
@@ -256,7 +256,7 @@ def test_objects_have_their_shape_pose_and_frame(tmp_path):
     file = write_stl(tmp_path / "block.stl", box_triangles((0.3, 0.2, 0.1)))
     block = SceneObject("block", "mesh", position=(0.0, 2.0, 1.0), mesh=file)
     ball = SceneObject("ball", "sphere", (0.2,), (0.0, -2.0, 1.0))
-    (message,) = told(Scene((TABLE, PART, ball, block), padding=0.02))
+    (message,) = published_messages(Scene((TABLE, PART, ball, block), padding=0.02))
     table, part, sphere, mesh = message.world.collision_objects
     assert (table.id, table.header.frame_id, table.header.stamp) == ("table", "base_link", STAMP)
     kind = TYPES.shapes.SolidPrimitive
@@ -275,7 +275,7 @@ def test_objects_have_their_shape_pose_and_frame(tmp_path):
 
 def test_a_carried_object_hangs_on_its_link_with_what_it_may_touch():
     carried = Scene((TABLE, PART)).attach("part", "tool0", IN_HAND, ("link_5", "table"))
-    (message,) = told(carried)
+    (message,) = published_messages(carried)
     (item,) = message.robot_state.attached_collision_objects
     assert (item.link_name, item.object.id, item.object.header.frame_id) == ("tool0", "part", "tool0")
     assert item.object.primitive_poses[0].position.z == pytest.approx(0.2)
@@ -288,7 +288,7 @@ def test_a_carried_object_hangs_on_its_link_with_what_it_may_touch():
 
 def test_the_matrix_is_the_one_that_we_check_by():
     scene = Scene((TABLE, PART), padding=0.02)
-    (message,) = told(scene)
+    (message,) = published_messages(scene)
     matrix = message.allowed_collision_matrix
     expected = planner_scene(RobotBodies(kr120()), scene, kr120_pairs())
     assert tuple(matrix.entry_names) == expected.names
@@ -302,7 +302,7 @@ def test_moveit_follows_an_object_that_is_lifted_put_down_and_removed():
     put_down = carried.detach("part", PART.pose)
     scenes = (standing, carried, put_down, carried, carried.remove("part"), standing)
     for count, scene in enumerate(scenes, 1):
-        seen = taken(told(*scenes[:count]))
+        seen = scene_after(published_messages(*scenes[:count]))
         assert set(seen.attached) == {item.name for item in scene.objects if item.link}
         assert set(seen.world) == {item.name for item in scene.objects if not item.link}
         assert seen.printed == []
@@ -310,7 +310,7 @@ def test_moveit_follows_an_object_that_is_lifted_put_down_and_removed():
 
 def test_objects_that_only_the_planner_knows_stay():
     seen = MoveitScene(world={"theirs": object()})
-    for message in told(Scene((TABLE,)), Scene()):
+    for message in published_messages(Scene((TABLE,)), Scene()):
         seen.take(message)
     assert set(seen.world) == {"theirs"}
 

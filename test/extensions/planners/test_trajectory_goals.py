@@ -7,7 +7,7 @@ import math
 import pytest
 from executor_bench import ROBOT
 
-from construction_twin.core.sentences import both
+from construction_twin.core.sentences import join_sentences
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.extensions.planners.goal_states import TABLE, Action, GoalEvent, GoalState
@@ -21,11 +21,11 @@ from construction_twin.extensions.planners.trajectory_goals import (
     VERDICTS,
     WITHDRAWAL,
     Accept,
-    Ask,
     Brake,
     End,
     Ending,
     GoalPlan,
+    RequestPlan,
     ResultCode,
     Status,
     TrajectoryGoal,
@@ -63,7 +63,7 @@ class Desk:
         return self.goals.state
 
     def effects(self, kind: type | None = None) -> list:
-        return [effect for effect in self.goals.take_effects() if kind is None or isinstance(effect, kind)]
+        return [effect for effect in self.goals.pop_effects() if kind is None or isinstance(effect, kind)]
 
     def end(self) -> End:
         ends = self.effects(End)
@@ -122,7 +122,7 @@ def test_every_action_of_the_table_is_carried_out():
 
 class TestToTheGoal:
     def test_a_goal_is_planned_reviewed_executed_and_succeeds(self, desk):
-        assert desk.send(goal()).effects() == [Ask(goal())]
+        assert desk.send(goal()).effects() == [RequestPlan(goal())]
         (accepted,) = desk.planned().effects()
         assert accepted == Accept(
             "a", "plan plan-1 of 2.500 s waits for approval; a person gives or refuses it by /kr120/review_plan"
@@ -272,7 +272,7 @@ class TestCancel:
         end = desk.after(0.02, at_rest=True).end()
         assert (end.ending, end.sentence) == (
             Ending.CANCELED,
-            both(CANCELLED, "the arm is at rest on its path", "at rest"),
+            join_sentences(CANCELLED, "the arm is at rest on its path", "at rest"),
         )
 
     def test_a_stop_that_failed_is_asked_for_again_until_it_brakes(self, desk):
@@ -318,7 +318,7 @@ class TestCancel:
         assert desk.after(STOPPED / NANOSECONDS - 0.1).effects() == [] and desk.state is GoalState.STOPPED
         first, waiting = desk.after(0.2).effects(End)
         assert (first.goal_id, first.ending) == ("a", Ending.CANCELED)
-        assert first.sentence == both(CANCELLED, UNKNOWN_REST, "as approved")
+        assert first.sentence == join_sentences(CANCELLED, UNKNOWN_REST, "as approved")
         assert (waiting.goal_id, waiting.ending) == ("b", Ending.CANCELED)
         assert waiting.sentence.startswith(f"not planned: {UNKNOWN_REST};")
         assert desk.state is GoalState.FREE and desk.after(1.0, at_rest=True).effects() == []
@@ -347,7 +347,7 @@ class TestAnotherGoal:
         for _ in range(3):
             effects = desk.effects()
             ends += [effect.goal_id for effect in effects if isinstance(effect, End)]
-            asked = [effect.goal.id for effect in effects if isinstance(effect, Ask)]
+            asked = [effect.goal.id for effect in effects if isinstance(effect, RequestPlan)]
             if asked:
                 break
             if desk.state is GoalState.DISCARDING:
@@ -356,7 +356,7 @@ class TestAnotherGoal:
                 desk.rejects("client /move_group", "replaced")
             elif desk.state is GoalState.BRAKING:
                 desk.executes(ExecutorState.IDLE, "stopped")
-            assert [effect for effect in desk.after(0.02).effects() if isinstance(effect, Ask)] == []
+            assert [effect for effect in desk.after(0.02).effects() if isinstance(effect, RequestPlan)] == []
             desk.after(0.02, at_rest=True)
         assert asked == ["c"] and "b" in ends and desk.state is GoalState.PLANNING
         assert desk.goals.goal.id == "c"
@@ -379,10 +379,10 @@ class TestAnotherGoal:
         assert desk.effects(Brake) == [Brake(PLAN.id)]
         desk.executes(ExecutorState.IDLE, "stopped", "at rest")
         end, ask = desk.after(0.02, at_rest=True).effects()
-        assert (end.goal_id, end.ending) == ("a", Ending.CANCELED) and end.sentence == both(
+        assert (end.goal_id, end.ending) == ("a", Ending.CANCELED) and end.sentence == join_sentences(
             REPLACED, "the arm is at rest on its path", "at rest"
         )
-        assert ask == Ask(goal("b"))
+        assert ask == RequestPlan(goal("b"))
 
     def test_that_waits_can_be_cancelled(self, desk):
         desk.moving().send(goal("b")).effects()
@@ -396,7 +396,9 @@ class TestAnotherGoal:
         end = desk.executes(ExecutorState.PLAYING, plan="by-hand").send(goal()).end()
         assert end.code is ResultCode.INVALID_GOAL
         assert end.sentence == "the arm follows plan by-hand, of no goal of this action; wait for its end"
-        assert desk.executes(ExecutorState.IDLE, "finished", plan="by-hand").send(goal()).effects() == [Ask(goal())]
+        assert desk.executes(ExecutorState.IDLE, "finished", plan="by-hand").send(goal()).effects() == [
+            RequestPlan(goal())
+        ]
 
 
 class TestStandStill:

@@ -89,7 +89,7 @@ PROCESS = """
     from types import SimpleNamespace
     from construction_twin.core.worker import serve_parent
 
-    def prepare(dies):
+    def load_model(dies):
         schedule = SimpleNamespace(jobs=[SimpleNamespace(robots=())] * 100_000)
         return SimpleNamespace(schedule=schedule)
 
@@ -100,7 +100,7 @@ PROCESS = """
             os.kill(os.getpid(), 9)
         return SimpleNamespace(number=number), os.getpid(), 1.0
 
-    serve_parent({"prepare": prepare, "check": check})
+    serve_parent({"load_model": load_model, "check": check})
 """
 #: Checks with such processes for ever, or until one of them dies.
 CHECK = """

@@ -14,7 +14,7 @@ from piece_checks import points_on
 
 from construction_twin.extensions.work import element_bodies
 from construction_twin.extensions.work.building import Body, Element
-from construction_twin.extensions.work.convex_bodies import Pieces
+from construction_twin.extensions.work.convex_bodies import ElementPieces
 from construction_twin.extensions.work.element_bodies import ElementShape, element_shapes
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.collision_bodies import scene_geometry
@@ -63,7 +63,7 @@ def test_hollow_things_stay_hollow(name, tmp_path):
     shape = element_shape(element(body_of(solid)), tmp_path)
     assert len(shape.objects) <= most
     assert shape.excess <= 1e-6
-    pieces = Pieces(shape.objects)
+    pieces = ElementPieces(shape.objects)
     vertices, triangles = mesh_of(solid)
     assert pieces.contain(points_on(vertices, triangles), 1e-6).all()
     assert sum(hull.volume for hull in pieces.hulls) == pytest.approx(solid.volume(), rel=1e-6)
@@ -95,8 +95,8 @@ def test_a_curved_hollow_is_held_and_its_excess_is_stated(tmp_path, monkeypatch)
     shape = element_shape(element(body_of(bowl)), tmp_path)
     vertices, triangles = mesh_of(bowl)
     assert 0 < shape.excess <= 0.1
-    assert Pieces(shape.objects).contain(points_on(vertices, triangles), 1e-6).all()
-    assert not Pieces(shape.objects).contain(np.array([(0.0, 0.0, -0.01)])).any()
+    assert ElementPieces(shape.objects).contain(points_on(vertices, triangles), 1e-6).all()
+    assert not ElementPieces(shape.objects).contain(np.array([(0.0, 0.0, -0.01)])).any()
 
 
 def test_what_pieces_would_make_too_large_becomes_its_surface_with_a_margin(tmp_path, monkeypatch):
@@ -166,5 +166,5 @@ def test_blocks_with_random_notches_are_divided_exactly(seed, cuts, tmp_path_fac
     solid = solid.rotate(tuple(rng.uniform(-180, 180, 3)))
     shape = element_shape(element(body_of(solid)), tmp_path_factory.mktemp("bodies"))
     assert shape.excess <= 0.001
-    pieces = Pieces(shape.objects)
+    pieces = ElementPieces(shape.objects)
     assert pieces.contain(points_on(*mesh_of(solid)), 2e-6).all()

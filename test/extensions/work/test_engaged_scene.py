@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from construction_twin.core.reports import EngagementReport
-from construction_twin.extensions.work.engaged_scene import confirmed, due
+from construction_twin.extensions.work.engaged_scene import restoring_change, switches_confirmed
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.segments import Segment
 from construction_twin.scene.objects import Scene, SceneObject
@@ -40,11 +40,11 @@ PLAN = ((GRIP, LET_GO), (SceneChange((HELD,)), SceneChange((PLACED,))))
 UNKNOWN = ((), ())
 
 
-def left(*scenes: Scene) -> EngagementReport:
+def engagement(*scenes: Scene) -> EngagementReport:
     return EngagementReport("p1", "lower", tuple(one.hash for one in scenes))
 
 
-def led(found: SceneChange | str, present: Scene) -> str:
+def hash_after(found: SceneChange | str, present: Scene) -> str:
     """Return the scene that a change leads to; fails when none is due."""
     assert isinstance(found, SceneChange), found
     return found.apply(present).hash
@@ -52,51 +52,51 @@ def led(found: SceneChange | str, present: Scene) -> str:
 
 @pytest.mark.parametrize(("present", "wanted"), [(BEFORE, GRIPPED), (GRIPPED, BUILT)])
 def test_the_change_that_a_stop_has_cut_off_is_due(present, wanted):
-    assert led(due(left(wanted), present, *PLAN), present) == wanted.hash
+    assert hash_after(restoring_change(engagement(wanted), present, *PLAN), present) == wanted.hash
 
 
 def test_the_scene_before_the_grip_is_restored_when_it_was_seen():
-    assert led(due(left(BEFORE), GRIPPED, *PLAN, [BEFORE]), GRIPPED) == BEFORE.hash
+    assert hash_after(restoring_change(engagement(BEFORE), GRIPPED, *PLAN, [BEFORE]), GRIPPED) == BEFORE.hash
 
 
 @pytest.mark.parametrize("wanted", [BEFORE, GRIPPED, BUILT])
 @pytest.mark.parametrize("present", [BEFORE, GRIPPED, BUILT])
 def test_without_plan_and_earlier_scenes_the_ledger_has_what_it_takes(present, wanted):
-    found = due(left(wanted), present, *UNKNOWN, element="E1", forms=[(STOCK,), (HELD,), (PLACED,)])
-    assert led(found, present) == wanted.hash
+    found = restoring_change(engagement(wanted), present, *UNKNOWN, element="E1", forms=[(STOCK,), (HELD,), (PLACED,)])
+    assert hash_after(found, present) == wanted.hash
 
 
 @pytest.mark.parametrize("present", [scene(STOCK, FENCE), scene(HELD, FENCE)])
 def test_an_obstacle_that_came_meanwhile_is_named_and_not_taken_away(present):
-    found = due(left(GRIPPED), present, *PLAN, [present, BEFORE])
+    found = restoring_change(engagement(GRIPPED), present, *PLAN, [present, BEFORE])
     assert "'fence' came into the scene since" in found
 
 
 @pytest.mark.parametrize("other", [(TOOL, HELD), (replace(FLOOR, size=(4.0, 4.0, 0.1)), TOOL, HELD)])
 def test_an_obstacle_that_went_or_was_changed_is_not_put_back(other):
-    found = due(left(GRIPPED), Scene(other, 0.01), *PLAN, [BEFORE])
+    found = restoring_change(engagement(GRIPPED), Scene(other, 0.01), *PLAN, [BEFORE])
     assert "'floor' was changed or taken out of the scene since" in found
 
 
 def test_an_element_that_is_gone_comes_back_with_what_may_touch_it():
     present = BEFORE.remove("E1/0")
     assert present.get("floor").touch == ()
-    assert led(due(left(BEFORE), present, *PLAN, [present, BEFORE]), present) == BEFORE.hash
+    assert hash_after(restoring_change(engagement(BEFORE), present, *PLAN, [present, BEFORE]), present) == BEFORE.hash
 
 
 def test_a_plan_that_nobody_knows_any_more_is_asked_about():
-    found = due(left(GRIPPED), BEFORE, *UNKNOWN)
+    found = restoring_change(engagement(GRIPPED), BEFORE, *UNKNOWN)
     assert "in engaged segment 'lower' of plan p1; plan p1 is not known" in found
 
 
 def test_a_plans_change_that_leads_elsewhere_is_not_made():
     for wrong in SceneChange((HELD.moved(at(0.4), "tool0"),), ("nobody",)), SceneChange((HELD.moved(at(0.4)),)):
-        assert isinstance(due(left(GRIPPED), BEFORE, [GRIP], [wrong]), str)
+        assert isinstance(restoring_change(engagement(GRIPPED), BEFORE, [GRIP], [wrong]), str)
 
 
 def test_a_switch_counts_as_confirmed_only_where_no_other_scene_is_named():
-    assert confirmed(left(GRIPPED), GRIP)
-    assert not confirmed(left(BEFORE), GRIP)
-    assert not confirmed(left(BEFORE, GRIPPED), GRIP)
-    assert not confirmed(left(), GRIP)
-    assert not confirmed(left(GRIPPED), replace(GRIP, scene=GRIPPED.hash))
+    assert switches_confirmed(engagement(GRIPPED), GRIP)
+    assert not switches_confirmed(engagement(BEFORE), GRIP)
+    assert not switches_confirmed(engagement(BEFORE, GRIPPED), GRIP)
+    assert not switches_confirmed(engagement(), GRIP)
+    assert not switches_confirmed(engagement(GRIPPED), replace(GRIP, scene=GRIPPED.hash))

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from work_samples import BRICK, recipes, tool
 
-from construction_twin.extensions.work.convex_bodies import Pieces
+from construction_twin.extensions.work.convex_bodies import ElementPieces
 from construction_twin.extensions.work.place.grips import find_grips
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import SceneObject, product
@@ -20,7 +20,7 @@ def grips(*boxes, mass=3.0, up=UP, **changes):
     wanted = {"along": (0.0,), "turns_deg": (0.0,), "yaws_deg": (0.0,), "min_cups": 1, **changes}
     recipe = recipe.model_copy(update={"grips": recipe.grips.model_copy(update=wanted)})
     pieces = tuple(SceneObject(f"e/{number}", "box", size, middle) for number, (size, middle) in enumerate(boxes))
-    return find_grips(Pieces(pieces), up, mass, recipe, tool().tool)
+    return find_grips(ElementPieces(pieces), up, mass, recipe, tool().tool)
 
 
 BEAM = ((1.0, 0.06, 0.12), (0.0, 0.0, 0.06))
@@ -126,7 +126,7 @@ def test_a_body_that_is_not_closed_or_not_convex_has_no_grip(tmp_path):
         path = tmp_path / f"{count}.obj"
         path.write_text(corners + faces)
         body = SceneObject("e/0", "mesh", mesh=str(path))
-        found.append(find_grips(Pieces([body]), UP, 3.0, recipe, tool().tool))
+        found.append(find_grips(ElementPieces([body]), UP, 3.0, recipe, tool().tool))
     closed, open_above = found
     assert closed.grips
     assert not open_above.grips and "is not closed" in open_above.reason

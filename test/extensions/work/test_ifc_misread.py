@@ -312,7 +312,7 @@ def text_of_two() -> str:
     return model.text()
 
 
-def doubts(found) -> list[str]:
+def doubts_of(found) -> list[str]:
     """The doubts of all elements, of each what stands before a colon."""
     return [element.doubt.split(":")[0] for element in found.elements.values()]
 
@@ -322,7 +322,7 @@ def test_elements_of_tasks_whose_order_is_of_an_unknown_kind_are_doubted(read):
     model.box("c", (0.1, 0.1, 1.0), at=(2, 0, 0))
     found = read(model.text().replace("IFCRELSEQUENCE", "IFCRELSEQUENZE"))
     assert found.sequences == () and noted(found.notes, "The parser says", "IFCRELSEQUENZE")
-    assert doubts(found) == [UNREAD, UNREAD, ""]
+    assert doubts_of(found) == [UNREAD, UNREAD, ""]
     # what is lost says nothing of their bodies
     assert all(each.bodies[0].volume == pytest.approx(0.01) for each in found.elements.values())
 
@@ -345,7 +345,7 @@ def test_a_file_with_comments_is_read(read):
         text_of_two().replace("DATA;", "DATA;\n/* it's a 'stud' */ /**/ /* ** / */").replace("#12=", "/* #1 */#12=")
     )
     found = read("/* a */ /* b */\n" + commented)
-    assert doubts(found) == ["", ""] and found.notes == () and len(found.sequences) == 1
+    assert doubts_of(found) == ["", ""] and found.notes == () and len(found.sequences) == 1
 
 
 _TEXT = text_of_two()
@@ -364,14 +364,14 @@ def test_a_file_cut_inside_of_a_line_is_refused_or_doubted(tmp_path_factory, cut
         found = read_ifc(path, 1 << 24)
     except BuildingError:
         return
-    assert not found.elements or any(doubts(found))
+    assert not found.elements or any(doubts_of(found))
 
 
 def test_a_line_with_too_few_values_is_told(read):
     model, studs, _ = two_studs()
     line = next(line for line in model.text().splitlines() if f"'{studs[0].GlobalId}'" in line)
     found = read(model.text().replace(line, line.replace(",$,$);", ");")))
-    assert doubts(found) == [UNREAD, ""] and noted(found.notes, "The parser says", "Expected 9 attribute values")
+    assert doubts_of(found) == [UNREAD, ""] and noted(found.notes, "The parser says", "Expected 9 attribute values")
 
 
 @pytest.mark.parametrize(("code", "called"), [("utf-8", "UTF-8"), ("cp1252", "Latin-1"), ("utf-8-sig", "UTF-8")])
@@ -481,7 +481,7 @@ def test_every_publication_of_a_schema_is_read_as_its_last(read, schema, given):
     text = model.text().replace(f"'{'IFC4X3_ADD2' if schema == 'IFC4X3' else schema}'", f"'{given}'")
     assert f"'{given}'" in text
     found = read(text)
-    assert (len(found.tasks), doubts(found)) == (2, ["", ""])
+    assert (len(found.tasks), doubts_of(found)) == (2, ["", ""])
 
 
 def test_a_release_candidate_is_refused_by_name(read):
@@ -493,4 +493,4 @@ def test_a_project_library_beside_the_project_changes_nothing(read):
     model, _, _ = two_studs()
     library = model.root("IfcProjectLibrary", Name="parts")
     model.root("IfcRelDeclares", RelatingContext=model.project, RelatedDefinitions=[library])
-    assert doubts(read(model)) == ["", ""]
+    assert doubts_of(read(model)) == ["", ""]

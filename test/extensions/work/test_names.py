@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from construction_twin.core.sentences import Sentence
-from construction_twin.extensions.work.names import labels, named
+from construction_twin.extensions.work.names import labels, with_names
 
 A, B, C = "2bFxRhcgPGFBoAYN2TZ93k", "3aFxRhcgPGFBoAYN2TZ93$", "0SM9YtqojL6QaI3LlZjDF4"
 KNOWN = labels({A: "Stud 1", B: "Brick", C: "Brick", f"{A}/2": "Drill stud 1", "#123": ""})
@@ -26,9 +26,9 @@ KNOWN = labels({A: "Stud 1", B: "Brick", C: "Brick", f"{A}/2": "Drill stud 1", "
     ],
 )
 def test_names_stand_where_ids_were(text, said):
-    assert named(text, KNOWN) == said
+    assert with_names(text, KNOWN) == said
 
 
 def test_a_sentence_names_its_values():
-    said = named(Sentence("{task} waits for {tasks}", task=f"'Stud 1' ({A})", tasks=A), KNOWN)
+    said = with_names(Sentence("{task} waits for {tasks}", task=f"'Stud 1' ({A})", tasks=A), KNOWN)
     assert said == "'Stud 1' waits for 'Stud 1'" and said.values == {"task": "'Stud 1'", "tasks": "'Stud 1'"}

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from work_samples import BRICK, CELL, SCENE, building, element, layout, site
+from work_samples import BRICK, CELL, SCENE, building, element, layout, work_cell
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work.errors import BuildingError
-from construction_twin.extensions.work.site import CellFile
+from construction_twin.extensions.work.work_cell import CellFile
 
 RACK = CELL["racks"]["bricks"]
 
@@ -20,7 +20,7 @@ RACK = CELL["racks"]["bricks"]
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory):
     """A cell that was read."""
-    return site(tmp_path_factory.mktemp("cell"))
+    return work_cell(tmp_path_factory.mktemp("cell"))
 
 
 def bricks(count):
@@ -28,7 +28,7 @@ def bricks(count):
 
 
 def stock(folder, rack, count=3, **cell):
-    return layout(site(folder, {"racks": {"r": rack}, **cell}), bricks(count)).stock
+    return layout(work_cell(folder, {"racks": {"r": rack}, **cell}), bricks(count)).stock
 
 
 def feet(found):
@@ -66,16 +66,16 @@ def test_the_first_needed_lies_on_top_of_a_stack(tmp_path):
     }
     found = stock(tmp_path, rack)
     assert np.allclose(feet(found)[:, 2], [0.671, 0.6, 0.6])
-    assert found.present(()) == ("b0", "b1")
-    assert found.present(("b0",)) == ("b1",)
-    assert found.present(("b0", "b1")) == ("b2",)
+    assert found.in_stock(()) == ("b0", "b1")
+    assert found.in_stock(("b0",)) == ("b1",)
+    assert found.in_stock(("b0", "b1")) == ("b2",)
 
 
 def test_a_slot_of_a_grid_is_filled_again_when_it_is_empty(tmp_path):
     found = stock(tmp_path, {**RACK, "columns": 2, "refill": True}, 5)
-    assert found.present(()) == ("b0", "b1")
-    assert found.present(("b1",)) == ("b0", "b3")
-    assert found.present(("b0", "b1", "b2", "b3")) == ("b4",)
+    assert found.in_stock(()) == ("b0", "b1")
+    assert found.in_stock(("b1",)) == ("b0", "b3")
+    assert found.in_stock(("b0", "b1", "b2", "b3")) == ("b4",)
     assert np.allclose(feet(found)[0], feet(found)[2])
 
 
@@ -103,7 +103,7 @@ def test_an_element_without_a_rack_is_one_sentence(tmp_path):
 
 
 def test_the_model_says_where_an_element_is_delivered(tmp_path):
-    at = site(tmp_path, {"racks": {"r": {"kind": "delivered", "surface": "rack"}}})
+    at = work_cell(tmp_path, {"racks": {"r": {"kind": "delivered", "surface": "rack"}}})
     said = element("b", properties={"CTwin_RobotTask": {"Delivered": "0.5 -1.5 0.6 0 0 90"}})
     pose = layout(at, building(said)).stock.slots["b"].base_T_element
     assert np.allclose(pose.position, (0.5, -1.5, 0.6)) and np.allclose(pose.rotation[:, 0], (0, 1, 0))
@@ -122,7 +122,7 @@ def test_delivered_at_an_offset_from_where_it_is_built(tmp_path):
 def test_the_base_may_be_an_element_of_the_model(tmp_path):
     base = element("robot", (1.0, 2.0, 0.0))
     model = building(element("b", (1.5, 3.6, 0.6)), base)
-    found = site(tmp_path, {"model_T_base": None, "base_element": "robot"})
+    found = work_cell(tmp_path, {"model_T_base": None, "base_element": "robot"})
     assert np.allclose(layout(found, model).base_T_goal("b").position, (0.5, 1.6, 0.6))
     with pytest.raises(ConfigurationError, match="base_element.*0 have this name"):
         layout(found, bricks(1))
@@ -144,14 +144,14 @@ def test_the_base_may_be_an_element_of_the_model(tmp_path):
 )
 def test_a_wrong_cell_file_is_one_sentence(tmp_path, cell, sentence):
     with pytest.raises(ConfigurationError, match=sentence) as caught:
-        site(tmp_path, cell)
+        work_cell(tmp_path, cell)
     assert "\n" not in str(caught.value)
 
 
 def test_a_scene_with_names_of_elements_is_refused(tmp_path):
     objects = {**SCENE["objects"], "a/0": SCENE["objects"]["table"]}
     with pytest.raises(ConfigurationError, match="a/0"):
-        site(tmp_path, scene={**SCENE, "objects": objects})
+        work_cell(tmp_path, scene={**SCENE, "objects": objects})
 
 
 @given(
@@ -165,20 +165,20 @@ def test_no_slot_ever_holds_two_and_everything_comes_at_last(cell, rows, columns
     file = CellFile.model_validate({**CELL, "racks": {"r": rack}})
     found = layout(replace(cell, file=file), bricks(count)).stock
     gone = {f"b{number}" for number in taken if number < count}
-    present = found.present(gone)
+    present = found.in_stock(gone)
     places = [found.slots[one].number for one in present]
     assert len(set(places)) == len(places) and not gone & set(present)
     assert bool(present) == (len(gone) < count)
     gone = set()
     for _ in range(count):
-        first = found.present(gone)[0]
+        first = found.in_stock(gone)[0]
         assert first not in gone
         gone.add(first)
-    assert found.present(gone) == ()
+    assert found.in_stock(gone) == ()
 
 
 def test_the_scene_of_a_state_has_the_tool_the_stock_and_what_stands(tmp_path):
-    found = layout(site(tmp_path), bricks(3))
+    found = layout(work_cell(tmp_path), bricks(3))
     assert set(found.scene().names) == {
         "floor", "table", "rack", "tool/post", "tool/frame", "tool/cups", "b0/0", "b1/0", "b2/0"
     }  # fmt: skip
@@ -189,7 +189,7 @@ def test_the_scene_of_a_state_has_the_tool_the_stock_and_what_stands(tmp_path):
 
 
 def test_supports_of_a_job_are_what_the_cell_names_and_the_neighbours(tmp_path):
-    found = layout(site(tmp_path), bricks(3))
+    found = layout(work_cell(tmp_path), bricks(3))
     built = {"b0": found.base_T_goal("b0")}
     # b0 stands 10 mm beside the place of b1, and 0.26 m from that of b2
     assert found.job_for("b1", found.scene(built)).supports == ("b0/0", "rack", "table")

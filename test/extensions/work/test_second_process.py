@@ -22,25 +22,25 @@ from work_samples import (
     pairs,
     planner,
     robot,
-    site,
+    work_cell,
 )
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work import decisions, process
 from construction_twin.extensions.work.errors import LedgerError
-from construction_twin.extensions.work.following import after_restart
+from construction_twin.extensions.work.layout import StockPlan
 from construction_twin.extensions.work.ledger import Ledger
 from construction_twin.extensions.work.loaded_model import LoadedModel
 from construction_twin.extensions.work.process import read_recipes
-from construction_twin.extensions.work.received import GripReading
+from construction_twin.extensions.work.received_messages import GripReading
 from construction_twin.extensions.work.schedule import Job, Schedule
-from construction_twin.extensions.work.site_scene import StockPlan
 from construction_twin.extensions.work.task_memory import Entry, NotNow, TaskMemory, TaskState
-from construction_twin.extensions.work.worker_functions import Session
+from construction_twin.extensions.work.task_recorder import events_after_restart
+from construction_twin.extensions.work.worker_functions import PlanningContext
 from construction_twin.planning.planner import PlanRequest
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.work_plan import plan_work
-from construction_twin.review.record import Fate
+from construction_twin.review.record import PlanRecord
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import product
 from construction_twin.scene.scene_change import SceneChange
@@ -54,20 +54,20 @@ known_process = pytest.fixture(touch_process.known, scope="module", autouse=True
 def work(tmp_path_factory):
     """Three bricks, the first of which stands and is touched."""
     folder = tmp_path_factory.mktemp("cell")
-    return layout(site(folder, {"recipes": str(recipes_file(folder))}), building())
+    return layout(work_cell(folder, {"recipes": str(recipes_file(folder))}), building())
 
 
 @pytest.fixture(scope="module")
 def plan(work):
     scene = work.scene()
-    return planner(work.site.recipes).plan(work.job_for("brick0", scene, "T1"), HOME, scene)
+    return planner(work.work_cell.recipes).plan(work.job_for("brick0", scene, "T1"), HOME, scene)
 
 
 # -- its recipe
 
 
 def test_a_recipe_names_the_process_and_a_file_of_before_places(work):
-    processes_of = [work.site.recipes.process(work.building.element(one)) for one in work.order]
+    processes_of = [work.work_cell.recipes.process(work.building.element(one)) for one in work.order]
     assert processes_of == ["touch", "place", "place"]
     assert {recipe.process for recipe in read_recipes(RECIPES).recipes.values()} == {"place"}
 
@@ -117,16 +117,16 @@ def test_whoever_checks_it_for_review_takes_it(plan, work):
 
 def test_the_check_before_the_work_plans_it_too(work):
     schedule = Schedule((Job("T1", "T1", "Probe brick", "brick0", (), (), "touch"),), ())
-    found = Session(robot(), planner(work.site.recipes), work, schedule, {}).check(0)
+    found = PlanningContext(robot(), planner(work.work_cell.recipes), work, schedule, {}).check(0)
     assert found.possible and found.grip == "point 50 0 71 mm" and found.track is not None and found.path
 
 
 # -- its ledger
 
 
-def prepared() -> LoadedModel:
+def loaded_model() -> LoadedModel:
     """Return the bench's model, whose one element is touched where it stands."""
-    made = work_bench.prepared()
+    made = work_bench.loaded_model()
     touched = replace(made.schedule.job(work_bench.TASK), process="touch")
     return replace(made, stock=StockPlan({}), schedule=Schedule((touched,), ()))
 
@@ -154,7 +154,7 @@ def begin(one: Bench) -> None:
     plan = lambda *_, **__: SimpleNamespace(  # noqa: E731
         method="point 0 0 0 mm", segments=segments(), tool0_T_element=None
     )
-    one.start(SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=plan, close=None))
+    one.start(SimpleNamespace(ask_first=lambda *_, **__: loaded_model(), ask=plan, close=None))
 
 
 @pytest.mark.parametrize(("answer", "state"), [("done", "done"), ("not_done", "ready")])
@@ -171,19 +171,27 @@ def test_a_stop_at_the_element_asks_whether_it_was_done(bench, answer, state):
 
 
 def test_an_open_grip_says_nothing_of_what_was_done(tmp_path):
-    offered = TaskMemory("T", TaskState.READY).then(Entry("offered", "T", "E", offer="o", process="touch"))
-    begun = offered.then(Entry("begun", "T", "E", plan="p"))
+    offered = TaskMemory("T", TaskState.READY).with_entry(Entry("offered", "T", "E", offer="o", process="touch"))
+    begun = offered.with_entry(Entry("begun", "T", "E", plan="p"))
     for memory in (offered, begun):
-        (entry,) = after_restart(memory, Fate("p", None), GripReading(True, False))
-        assert entry.event == "unknown" and "carried out?" in memory.then(entry).question("stud")
+        (entry,) = events_after_restart(memory, PlanRecord("p", None), GripReading(True, False))
+        assert entry.event == "unknown" and "carried out?" in memory.with_entry(entry).question("stud")
 
 
 def test_what_is_placed_is_not_done_before_it_was_let_go():
-    placing = TaskMemory("T", TaskState.READY).then(Entry("offered", "T", "E", offer="o")).then(Entry("begun", "T"))
+    placing = (
+        TaskMemory("T", TaskState.READY)
+        .with_entry(Entry("offered", "T", "E", offer="o"))
+        .with_entry(Entry("begun", "T"))
+    )
     with pytest.raises(NotNow):
-        placing.then(Entry("finished", "T", "E"))
-    again = TaskMemory("T", TaskState.READY).then(Entry("offered", "T", process="touch")).then(Entry("dropped", "T"))
-    assert again.stays and not again.then(Entry("offered", "T")).stays
+        placing.with_entry(Entry("finished", "T", "E"))
+    again = (
+        TaskMemory("T", TaskState.READY)
+        .with_entry(Entry("offered", "T", process="touch"))
+        .with_entry(Entry("dropped", "T"))
+    )
+    assert again.stays and not again.with_entry(Entry("offered", "T")).stays
 
 
 def ledger(path, model="a" * 64) -> Ledger:

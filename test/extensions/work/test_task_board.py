@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from construction_twin.extensions.work import decisions
-from construction_twin.extensions.work.built import as_built, change, deviation, pose_tuple
+from construction_twin.extensions.work.as_built import as_built, deviation, pose_tuple, scene_change
+from construction_twin.extensions.work.layout import Slot, StockPlan
 from construction_twin.extensions.work.ledger import Ledger
 from construction_twin.extensions.work.loaded_model import ElementFacts, LoadedModel
 from construction_twin.extensions.work.schedule import Job, Schedule, Wait
-from construction_twin.extensions.work.site_scene import Slot, StockPlan
 from construction_twin.extensions.work.task_board import TaskBoard, WorkRefused
 from construction_twin.extensions.work.task_memory import Entry, TaskState
 from construction_twin.kinematics.chain import Pose
@@ -55,7 +55,7 @@ def clock() -> Clock:
     return Clock()
 
 
-def prepared(proposed: bool = False) -> LoadedModel:
+def loaded_model(proposed: bool = False) -> LoadedModel:
     elements, slots = {}, {}
     for number, job in zip(count(1), JOBS):
         body = SceneObject(f"{job.element}/0", "box", (0.1, 0.1, 0.1))
@@ -68,7 +68,7 @@ def prepared(proposed: bool = False) -> LoadedModel:
 
 
 def board(tmp_path: Path, clock: Clock, proposed: bool = False, robot: str = "kr120") -> TaskBoard:
-    ready = prepared(proposed)
+    ready = loaded_model(proposed)
     return TaskBoard(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), robot, "tool0")
 
 
@@ -139,7 +139,7 @@ def test_a_question_comes_before_everything_else(tmp_path, clock):
     one = board(tmp_path, clock)
     build(one, "T1", until="gripped")
     one.ledger.add(Entry("stopped", "T1", "E1"))
-    row = one.report(clock()).tasks[0]
+    row = one.state_report(clock()).tasks[0]
     assert row.state == "asks" and "where is " in row.question and "in_grip" in row.answers
     assert row.question in one.obstacle("T1", clock())
     for refused in (
@@ -158,7 +158,7 @@ def test_an_answer_to_a_question_that_is_no_longer_open_is_refused(tmp_path, clo
     one = board(tmp_path, clock)
     build(one, "T1", until="gripped")
     one.ledger.add(Entry("stopped", "T1", "E1"))
-    question = one.report(clock()).tasks[0].question
+    question = one.state_report(clock()).tasks[0].question
     with pytest.raises(WorkRefused, match="another question is open by now"):
         decisions.answer(one, "T1", "in_grip", "eva", "", "where was it yesterday?")
     decisions.answer(one, "T1", "in_grip", "eva", "", question)
@@ -178,11 +178,11 @@ def test_what_is_in_the_grip_comes_first(tmp_path, clock):
 @pytest.mark.parametrize("by_person", [True, False])
 def test_what_counts_as_carried_can_be_doubted(tmp_path, clock, by_person):
     one = board(tmp_path, clock)
-    assert decisions.lost(one) == ""
+    assert decisions.ask_about_carried(one) == ""
     build(one, "T1", until="gripped")
     one.ledger.add(Entry("stopped", "T1", "E1"))
     decisions.answer(one, "T1", "in_grip", "eva", "")
-    sentence = decisions.redo(one, "T1", "eva", "it fell") if by_person else decisions.lost(one)
+    sentence = decisions.redo(one, "T1", "eva", "it fell") if by_person else decisions.ask_about_carried(one)
     assert "where is element 1 now?" in sentence
     assert one.ledger.states.tasks["T1"].possible_answers() == ("in_stock", "in_grip", "placed", "gone")
     decisions.answer(one, "T1", "gone", "eva", "")
@@ -208,26 +208,26 @@ def test_what_others_came_after_is_not_done_again_before_them(tmp_path, clock):
 def test_a_measured_pose_replaces_the_arms(tmp_path, clock):
     one = board(tmp_path, clock)
     with pytest.raises(WorkRefused, match="is not placed yet"):
-        decisions.measured(one, "E1", one.built.element("T1").base_T_goal, "eva", "tape")
+        decisions.record_measured(one, "E1", one.built.element("T1").base_T_goal, "eva", "tape")
     build(one, "T1")
     assert one.built.deviation("T1").distance == pytest.approx(0.0, abs=1e-12)
-    found = decisions.measured(
+    found = decisions.record_measured(
         one, "E1", product(one.built.element("T1").base_T_goal, at(0.003, 0.0, 0.0, 0.01)), "eva", "tape"
     )
     assert (found.distance, found.angle) == (pytest.approx(0.003), pytest.approx(0.01))
-    row = one.report(clock()).tasks[0]
+    row = one.state_report(clock()).tasks[0]
     assert row.deviation_mm == pytest.approx(found.distance * 1e3)
     assert row.deviation_deg == pytest.approx(math.degrees(found.angle))
     assert row.reason == "placed, measured by eva"
     for wrong in (at(50.0), at(float("nan"))):
         with pytest.raises(WorkRefused, match="m from where the model has"):
-            decisions.measured(one, "E1", wrong, "eva", "")
+            decisions.record_measured(one, "E1", wrong, "eva", "")
     with pytest.raises(WorkRefused, match="`twin work list` names them"):
-        decisions.measured(one, "E9", one.built.element("T1").base_T_goal, "eva", "")
+        decisions.record_measured(one, "E9", one.built.element("T1").base_T_goal, "eva", "")
 
 
 def test_an_element_that_can_never_be_planned_stops_only_what_waits_for_it(tmp_path, clock):
-    ready = prepared()
+    ready = loaded_model()
     slots = {element: slot for element, slot in ready.stock.slots.items() if element != "E2"}
     bodiless = replace(ready.elements["E2"], bodies=(), triangles=np.empty((0, 3, 3)))
     ready = replace(
@@ -238,7 +238,11 @@ def test_an_element_that_can_never_be_planned_stops_only_what_waits_for_it(tmp_p
     clock.now += MINUTE + 1
     assert one.obstacle("T2", clock()) == f"{STUD} cannot be planned: no body; skip it when it stands"
     assert " waits for " in one.obstacle("T3", clock())
-    assert {row.id: row.state for row in one.report(clock()).tasks} == {"T1": "done", "T2": "ready", "T3": "waiting"}
+    assert {row.id: row.state for row in one.state_report(clock()).tasks} == {
+        "T1": "done",
+        "T2": "ready",
+        "T3": "waiting",
+    }
     assert not any(name.startswith("E2") for name in scene_of(one, Scene()).names)
     assert [each.word for each in one.built.appearances(one.next(clock())) if each.element == "E2"] == ["todo"]
     decisions.skip(one, "T2", "eva", "stands already")
@@ -250,12 +254,12 @@ def test_an_element_that_can_never_be_planned_stops_only_what_waits_for_it(tmp_p
 
 def scene_of(one: TaskBoard, scene: Scene) -> Scene:
     wanted, alone = one.built.wanted_scene()
-    wrong = change(scene, wanted, alone)
+    wrong = scene_change(scene, wanted, alone)
     for name in wrong.remove:
         scene = scene.remove(name)
     for item in wrong.put:
         scene = scene.add(item, True)
-    assert change(scene, *one.built.wanted_scene()) == SceneChange()
+    assert scene_change(scene, *one.built.wanted_scene()) == SceneChange()
     return scene
 
 
@@ -282,9 +286,10 @@ def test_a_planned_pose_is_not_told_as_measured(tmp_path, clock):
     )
     one.ledger.add(Entry("finished", "T1", "E1"))
     assert (
-        one.built.deviation("T1") is None and "placed; as planned, not measured" in one.report(clock()).tasks[0].reason
+        one.built.deviation("T1") is None
+        and "placed; as planned, not measured" in one.state_report(clock()).tasks[0].reason
     )
-    decisions.measured(one, "E1", one.built.element("T1").base_T_goal, "eva", "tape")
+    decisions.record_measured(one, "E1", one.built.element("T1").base_T_goal, "eva", "tape")
     assert one.built.deviation("T1").distance == pytest.approx(0.0, abs=1e-12)
 
 
@@ -329,7 +334,7 @@ def test_people_see_what_comes_next_what_is_there_and_what_is_off(tmp_path, cloc
     one.ledger.add(Entry("released", "T1", "E1", pose=pose_tuple(one.built.element("T1").base_T_goal)))
     assert words("E1") == ["placed"]
     one.ledger.add(Entry("finished", "T1", "E1"))
-    decisions.measured(one, "E1", product(one.built.element("T1").base_T_goal, at(0.05)), "eva", "tape")
+    decisions.record_measured(one, "E1", product(one.built.element("T1").base_T_goal, at(0.05)), "eva", "tape")
     assert words("E1") == ["off"]
     there = next(each.pose.position for each in one.built.appearances(one.next(clock())) if each.element == "E1")
     assert there == pytest.approx(product(one.built.element("T1").base_T_goal, at(0.05)).position), (
@@ -340,7 +345,7 @@ def test_people_see_what_comes_next_what_is_there_and_what_is_off(tmp_path, cloc
 
 
 def test_what_stands_and_is_no_longer_in_the_model_is_not_tidied_away(tmp_path, clock):
-    ready = prepared()
+    ready = loaded_model()
     former = Ledger(tmp_path / "ledger", {"T9": ()}, "b" * 64, clock, "/cell.yaml", {"E9": "T9"})
     for event in ("offered", "begun", "gripping", "gripped", "releasing", "released", "finished"):
         former.add(Entry(event, "T9", "E9", pose=pose_tuple(at(1.0))))
@@ -369,7 +374,7 @@ def test_an_element_that_was_turned_by_its_symmetry_is_not_wrong():
 
 def with_removal(tmp_path: Path, clock: Clock) -> TaskBoard:
     """A task board whose first job waits for an element to be taken down."""
-    ready = prepared()
+    ready = loaded_model()
     down = Job("D1", "D1", "Take down wall", "W1", (), ())
     jobs = (replace(JOBS[0], after=(Wait("D1", True, 0.0),)), *JOBS[1:])
     remarks = {"D1": ("the arm takes nothing down",), "T1": ("THE MASS IS DOUBTFUL",)}
@@ -397,9 +402,9 @@ def test_what_is_to_be_taken_down_stands_and_holds_up_until_a_person_says_that_i
     assert "is gone: it is no obstacle" in decisions.removed(one, "D1", "eva", "seen")
     scene = Scene((*one.loaded.standing, *one.loaded.tool_objects), 0.01)
     wanted, alone = one.built.wanted_scene()
-    assert "W1/0" not in wanted and "W2/0" in wanted and change(scene, wanted, alone).remove == ("W1/0",)
+    assert "W1/0" not in wanted and "W2/0" in wanted and scene_change(scene, wanted, alone).remove == ("W1/0",)
     assert one.next(clock()) == "T1"
-    row = next(row for row in one.report(clock()).tasks if row.id == "D1")
+    row = next(row for row in one.state_report(clock()).tasks if row.id == "D1")
     assert (row.state, row.reason) == ("done", "taken down, as a person says")
     with pytest.raises(WorkRefused, match="is gone already"):
         decisions.removed(one, "D1", "eva", "")

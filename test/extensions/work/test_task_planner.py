@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from work_samples import building, element, layout, pairs, planner, recipes, robot, site, tool
+from work_samples import building, element, layout, pairs, planner, recipes, robot, tool, work_cell
 
 from construction_twin.core.units import CYCLE
-from construction_twin.extensions.work.contacts import Shapes
+from construction_twin.extensions.work.contacts import ShapeDistances
 from construction_twin.extensions.work.errors import TaskPlanningError
+from construction_twin.extensions.work.layout import Layout
 from construction_twin.extensions.work.process import TaskMotions
-from construction_twin.extensions.work.site_scene import Layout
 from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.limit_usage import cycle_times
 from construction_twin.planning.planner import PlanRequest
@@ -27,7 +27,7 @@ HOME = np.array(robot().home)
 
 @pytest.fixture(scope="module")
 def work(tmp_path_factory) -> Layout:
-    return layout(site(tmp_path_factory.mktemp("cell")), building())
+    return layout(work_cell(tmp_path_factory.mktemp("cell")), building())
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +118,7 @@ def test_what_may_touch_does_not_go_into_each_other(plans):
             world = CollisionWorld(robot(), scene, pairs())
             qs = segment.trajectory.sample_many(cycle_times(segment.trajectory))[0]
             assert world.all_free(qs) is None
-            touching = world.of_touching()
+            touching = world.touching_world()
             found = None if touching is None else touching.clearance_of(qs)
             if segment.name in ("carry", "to stock"):
                 # the tool may touch the flange, which moves with it
@@ -189,7 +189,7 @@ def test_the_tools_other_shapes_keep_the_padding_to_a_neighbour(tmp_path):
     model = building(
         element("low", (0, 0, 0)), element("high", (0, 0.14, 0), (0.24, 0.115, 0.15), type_name="240x115x71 x2")
     )
-    found = layout(site(tmp_path), model)
+    found = layout(work_cell(tmp_path), model)
     scene = found.scene({"high": found.base_T_goal("high")})
     with pytest.raises(TaskPlanningError, match="tool/frame would touch high/0"):
         planner().plan(found.job_for("low", scene), HOME, scene)
@@ -197,7 +197,7 @@ def test_the_tools_other_shapes_keep_the_padding_to_a_neighbour(tmp_path):
 
 def test_a_tool_beside_a_neighbour_needs_the_recipes_word(tmp_path):
     model = building(*(element(f"b{number}", (0.25 * number, 0, 0)) for number in range(3)))
-    found = layout(site(tmp_path), model)
+    found = layout(work_cell(tmp_path), model)
     both = {"b0": found.base_T_goal("b0"), "b2": found.base_T_goal("b2")}
     scene = found.scene(both)
     job = found.job_for("b1", scene)
@@ -251,7 +251,7 @@ def test_an_arm_in_contact_is_not_planned_from(work):
 
 @pytest.mark.parametrize("properties", [{}, {"CTwin_RobotTask": {"Fastened": True}}])
 def test_an_element_that_nothing_is_under_is_refused_unless_it_is_fastened(tmp_path, properties):
-    above = layout(site(tmp_path), building(element("tile", (0.0, 0.0, 0.25), properties=properties)))
+    above = layout(work_cell(tmp_path), building(element("tile", (0.0, 0.0, 0.25), properties=properties)))
     scene = above.scene()
     job = above.job_for("tile", scene)
     if properties:
@@ -263,7 +263,7 @@ def test_an_element_that_nothing_is_under_is_refused_unless_it_is_fastened(tmp_p
 
 
 def test_an_element_in_the_grip_is_not_let_go_in_mid_air_either(tmp_path):
-    above = layout(site(tmp_path), building(element("tile", (0.0, 0.0, 0.25))))
+    above = layout(work_cell(tmp_path), building(element("tile", (0.0, 0.0, 0.25))))
     scene = above.scene()
     job = above.job_for("tile", scene)
     held = Pose(np.array([0.0, 0.0, 0.3]), np.eye(3))
@@ -294,10 +294,10 @@ ALIKE = Pose(np.array([0.0, 0.0, 1.05]), np.eye(3))
 )
 def test_only_what_is_under_an_element_holds_it(position, holds):
     other = replace(BOX, name="other", position=position)
-    assert Shapes().holder([BOX], ALIKE, [other], UP) == ("other" if holds else "")
+    assert ShapeDistances().support_below([BOX], ALIKE, [other], UP) == ("other" if holds else "")
 
 
 def test_what_is_under_is_so_by_gravity_and_not_by_the_base():
     wall = replace(BOX, name="wall", position=(-0.2, 0.0, 1.05))
-    assert Shapes().holder([BOX], ALIKE, [wall], UP) == ""
-    assert Shapes().holder([BOX], ALIKE, [wall], np.array([1.0, 0.0, 0.0])) == "wall"
+    assert ShapeDistances().support_below([BOX], ALIKE, [wall], UP) == ""
+    assert ShapeDistances().support_below([BOX], ALIKE, [wall], np.array([1.0, 0.0, 0.0])) == "wall"

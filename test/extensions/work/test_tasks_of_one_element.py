@@ -19,18 +19,18 @@ from construction_twin.msg import Execution
 from ifc_models import IfcModel
 from touch_process import TOP, recipes_file
 from work_bench import CARRY, ELEMENT, LEAVE, Bench
-from work_samples import BRICK, ROOT, element, job, robot, site
+from work_samples import BRICK, ROOT, element, job, robot, work_cell
 
 from construction_twin.extensions.work import decisions, worker_functions
+from construction_twin.extensions.work.as_built import pose_tuple, scene_change
 from construction_twin.extensions.work.building import Sequence, Task
-from construction_twin.extensions.work.built import change, pose_tuple
 from construction_twin.extensions.work.errors import ScheduleError
 from construction_twin.extensions.work.ifc.reading import read_building
 from construction_twin.extensions.work.ledger import Ledger, read_entries
 from construction_twin.extensions.work.schedule import Job, Schedule, Wait
-from construction_twin.extensions.work.site import pose_of
 from construction_twin.extensions.work.task_board import TaskBoard, WorkRefused
 from construction_twin.extensions.work.task_memory import Entry
+from construction_twin.extensions.work.work_cell import pose_of
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.scene.objects import Scene, product
 from construction_twin.scene.scene_change import SceneChange
@@ -110,7 +110,7 @@ def test_a_part_that_another_task_works_on_is_still_placed_with_its_assembly():
 
 
 def test_a_tasks_own_recipe_comes_before_its_elements(tmp_path):
-    recipes = site(tmp_path, {"recipes": str(recipes_file(tmp_path))}).recipes
+    recipes = work_cell(tmp_path, {"recipes": str(recipes_file(tmp_path))}).recipes
     one = element("b", properties={"CTwin_RobotTask": {"Recipe": "brick", "MinCups": 1, "Speed": 0.15}})
     task = Task("t", "t", properties={"Recipe": "probe", "Point": "0 0 0.071"})
     assert (recipes.process(one), recipes.process(one, task)) == ("place", "touch")
@@ -149,8 +149,8 @@ def work(tmp_path):
     touch = model.task("touch first", [bricks[0]])
     model.properties(touch, "CTwin_RobotTask", Recipe="probe")
     place, other = model.task("place first", [bricks[0]]), model.task("place second", [bricks[1]])
-    site(tmp_path, {"recipes": str(recipes_file(tmp_path, match={"elements": ["none"]}))})
-    made = worker_functions.prepare(
+    work_cell(tmp_path, {"recipes": str(recipes_file(tmp_path, match={"elements": ["none"]}))})
+    made = worker_functions.load_model(
         model=str(model.save(tmp_path / "m.ifc")), cell=str(tmp_path / "cell.yaml"), robot=robot(),
         self_collision=str(ROOT / "config/kr120_track_self_collision.yaml"), planner={**PLANNER, "seed": 1}, cache=str(tmp_path),
     )  # fmt: skip
@@ -166,7 +166,7 @@ def test_an_element_is_placed_then_touched_where_it_stands_and_each_is_in_the_le
     board = TaskBoard(
         made, Ledger(tmp_path / "l", made.after, made.digest, count(10**18).__next__), "kr120", robot().tip_link
     )
-    surroundings = site(tmp_path, {"recipes": str(recipes_file(tmp_path))}).scene
+    surroundings = work_cell(tmp_path, {"recipes": str(recipes_file(tmp_path))}).scene
 
     def scene() -> Scene:
         wanted, alone = board.built.wanted_scene()
@@ -198,8 +198,8 @@ def test_an_element_is_placed_then_touched_where_it_stands_and_each_is_in_the_le
     tcp = product(Chain(robot()).forward(plan.segments[1].trajectory.positions[-1]), pose_of(made.tool.tool0_T_tcp))
     assert np.allclose(tcp.position, built.position + built.rotation @ np.array(TOP) + (0.0, 0.0, 0.04), atol=2e-4)
     board.ledger.add(Entry("finished", work.touch, element_id))
-    assert board.next(NOW) == work.other and change(scene(), *board.built.wanted_scene()) == SceneChange()
-    states = [(row.name, row.element_name, row.state) for row in board.report(NOW).tasks]
+    assert board.next(NOW) == work.other and scene_change(scene(), *board.built.wanted_scene()) == SceneChange()
+    states = [(row.name, row.element_name, row.state) for row in board.state_report(NOW).tasks]
     assert states[:2] == [("place first", "brick0", "done"), ("touch first", "brick0", "done")]
     board.ledger.close()
     written = [
@@ -216,15 +216,15 @@ def test_an_element_is_placed_then_touched_where_it_stands_and_each_is_in_the_le
 
 def of_two(tmp_path, model="a" * 64) -> TaskBoard:
     """A task board whose one element is placed, then touched."""
-    ready = prepared()
+    ready = loaded_model()
     times = count(10**18)
     ledger = Ledger(tmp_path / "l", ready.after, model, times.__next__, "", ready.schedule.placing)
     return TaskBoard(ready, ledger, "kr120", "tool0")
 
 
-def prepared():
+def loaded_model():
     """Return the bench's model, with a second task that touches its element."""
-    made = work_bench.prepared()
+    made = work_bench.loaded_model()
     touch = Job(TOUCH, TOUCH, "Touch stud", ELEMENT, (), (Wait(PLACE, True, 0.0),), "touch")
     return replace(made, schedule=Schedule((*made.schedule.jobs, touch), ()))
 
@@ -250,7 +250,7 @@ def test_what_was_skipped_stands_only_when_a_person_says_where(tmp_path):
     decisions.skip(one, PLACE, "eva", "")
     assert not [name for name in one.built.wanted_scene()[0] if name.startswith(ELEMENT)]
     assert "does not count as placed: 'Place stud' is skipped" in one.obstacle(TOUCH, NOW) and one.next(NOW) == ""
-    decisions.measured(one, ELEMENT, one.built.element(PLACE).base_T_goal, "eva", "by hand")
+    decisions.record_measured(one, ELEMENT, one.built.element(PLACE).base_T_goal, "eva", "by hand")
     assert one.next(NOW) == TOUCH and f"{ELEMENT}/0" in one.built.wanted_scene()[0]
 
 
@@ -273,14 +273,17 @@ def test_another_model_asks_of_each_task_what_it_can_have_done(tmp_path):
     done(one, TOUCH)
     one.ledger.close()
     again = of_two(tmp_path, "b" * 64)
-    assert [row.answers for row in again.report(NOW).tasks] == [("in_stock", "placed", "gone"), ("done", "not_done")]
+    assert [row.answers for row in again.state_report(NOW).tasks] == [
+        ("in_stock", "placed", "gone"),
+        ("done", "not_done"),
+    ]
     assert {entry.element for entry in read_entries(tmp_path / "l") if entry.event == "unknown"} == {ELEMENT}
 
 
 def test_what_a_former_task_placed_is_touched_there_and_only_what_moves_it_is_asked_about(tmp_path):
     one = of_two(tmp_path)
     done(one, PLACE)
-    decisions.measured(
+    decisions.record_measured(
         one,
         ELEMENT,
         Pose(
@@ -292,7 +295,7 @@ def test_what_a_former_task_placed_is_touched_there_and_only_what_moves_it_is_as
     )
     stands = one.built.wanted_scene()[0][f"{ELEMENT}/0"]
     one.ledger.close()
-    ready = prepared()
+    ready = loaded_model()
     alone = replace(ready.schedule.job(TOUCH), after=())
     ready = replace(ready, schedule=Schedule((alone,), ()), digest="b" * 64)
     ledger = Ledger(tmp_path / "l", ready.after, ready.digest, lambda: 1, "", {}, ready.standing_elements)
@@ -304,7 +307,7 @@ def test_what_a_former_task_placed_is_touched_there_and_only_what_moves_it_is_as
 
 
 def test_what_was_taken_down_is_not_worked_on(tmp_path):
-    ready = prepared()
+    ready = loaded_model()
     removal = Job("D", "D", "Take down", ELEMENT, (), ())
     touch = replace(ready.schedule.job(TOUCH), after=())
     ready = replace(ready, schedule=Schedule((touch,), (), False, (removal,)))
@@ -329,7 +332,7 @@ def test_the_node_has_both_planned_and_follows_them_one_after_the_other(monkeypa
         touch = replace(parts[CARRY], name="touch", trajectory=there, **same)
         return SimpleNamespace(method="point", segments=(touch, replace(parts[LEAVE], **same)), tool0_T_element=None)
 
-    bench.start(SimpleNamespace(ask_first=lambda *_, **__: prepared(), ask=plan, close=None))
+    bench.start(SimpleNamespace(ask_first=lambda *_, **__: loaded_model(), ask=plan, close=None))
     bench.carrying().play(CARRY, True).tool(False)
     bench.play(CARRY, True, True).play(LEAVE)
     bench.execution(Execution.IDLE, plan_id=bench.plan.id, outcome="finished")

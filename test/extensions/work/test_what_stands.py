@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from construction_twin.extensions.work import decisions
-from construction_twin.extensions.work.built import pose_tuple
+from construction_twin.extensions.work.as_built import pose_tuple
 from construction_twin.extensions.work.errors import LedgerError
+from construction_twin.extensions.work.layout import Slot, StockPlan
 from construction_twin.extensions.work.ledger import Ledger, read_entries
 from construction_twin.extensions.work.loaded_model import ElementFacts, LoadedModel
 from construction_twin.extensions.work.schedule import Job, Schedule
-from construction_twin.extensions.work.site_scene import Slot, StockPlan
 from construction_twin.extensions.work.task_board import TaskBoard, WorkRefused
 from construction_twin.extensions.work.task_memory import Entry, TaskState
 from construction_twin.kinematics.chain import Pose
@@ -57,10 +57,10 @@ def opened(folder: Path, ready: LoadedModel, name: str = "kr120_deck", robot: st
     times = count(NOW)
     ledger = Ledger(
         folder / f"{name}.jsonl", ready.after, ready.digest, times.__next__, ready.cell, ready.schedule.placing,
-        ready.standing_elements, robot, ready.present,
+        ready.standing_elements, robot, ready.model_elements,
     )  # fmt: skip
     board = TaskBoard(ready, ledger, robot, "tool0")
-    decisions.look_around(board)
+    decisions.ask_about_other_ledgers(board)
     return board
 
 
@@ -82,17 +82,17 @@ def two_placed(tmp_path) -> Path:
 
 
 def row(board: TaskBoard, name: str):
-    (found,) = [row for row in board.report(NOW).tasks if name in (row.id, row.name)]
+    (found,) = [row for row in board.state_report(NOW).tasks if name in (row.id, row.name)]
     return found
 
 
-def stands(board: TaskBoard, element: str) -> SceneObject | None:
+def standing_object(board: TaskBoard, element: str) -> SceneObject | None:
     return board.built.wanted_scene()[0].get(f"{element}/0")
 
 
 def of_b(board: TaskBoard) -> SceneObject:
     """Return B's body in the scene, which must be where it was placed."""
-    found = stands(board, "oldB")
+    found = standing_object(board, "oldB")
     assert found is not None and found.size == SIZE and np.allclose(found.position, (0.6, 1.001, 0.6))
     return found
 
@@ -110,7 +110,7 @@ def test_what_was_deleted_from_the_model_stands_and_is_asked_about_before_anythi
     decisions.answer(board, "ToldB", "stands", "eva", "")
     of_b(board)
     assert board.next(NOW) == "ToldX" and "placed, and not in the model" in row(board, "B").reason
-    assert board.called("set down: oldX/0 would touch oldB/0") == "set down: oldX/0 would touch 'B'"
+    assert board.with_names("set down: oldX/0 would touch oldB/0") == "set down: oldX/0 would touch 'B'"
 
 
 def test_it_is_asked_once_for_each_version_and_stands_over_every_start(two_placed):
@@ -136,7 +136,7 @@ def test_it_is_no_obstacle_when_a_person_has_taken_it_away(two_placed, asked):
         assert "is gone: it is no obstacle" in decisions.removed(board, "ToldB", "eva", "rotten")
     board.ledger.close()
     again = opened(two_placed, changed)
-    assert stands(again, "oldB") is None and "ToldB" not in again.states.former
+    assert standing_object(again, "oldB") is None and "ToldB" not in again.states.former
     with pytest.raises(WorkRefused, match="`twin work list` names them"):
         decisions.removed(again, "ToldB", "eva", "")
 
@@ -145,7 +145,7 @@ def test_what_stands_in_the_models_own_version_can_be_taken_away_too(two_placed)
     board = opened(two_placed, model("old", "A", "B", "C", "D"))
     assert board.next(NOW) == "ToldC"
     decisions.removed(board, "ToldB", "eva", "rotten")
-    assert stands(board, "oldB") is None and board.states.tasks["ToldB"].state is TaskState.HELD
+    assert standing_object(board, "oldB") is None and board.states.tasks["ToldB"].state is TaskState.HELD
     with pytest.raises(WorkRefused, match="has placed nothing"):
         decisions.removed(board, "ToldC", "eva", "")
 
@@ -191,7 +191,9 @@ def test_an_answer_counts_for_later_versions_that_say_the_same_and_for_no_other(
     assert decisions.answer_all(board, "stands", "eva", "").values["count"] == 1 and board.states.asking == ()
     board.ledger.close()
     later = asked("A", "X", "C", "D", digest="c", by=0.2)
-    assert later.states.asking == () and later.next(NOW) == "ToldX" and stands(later, "oldA").position[0] == 0.0
+    assert (
+        later.states.asking == () and later.next(NOW) == "ToldX" and standing_object(later, "oldA").position[0] == 0.0
+    )
     of_b(later)
     later.ledger.close()
     again = asked("A", "X", "C", digest="d", by=0.1)
@@ -222,7 +224,7 @@ def test_all_that_was_placed_is_answered_at_once_where_that_leaves_it_an_obstacl
     assert (said.values["count"], said.values["left"]) == (2, 0) and board.next(NOW) == "TnewC"
     board.ledger.close()
     again = opened(two_placed, model("new", "A", "B", "C", "D", "E", digest="c"))
-    assert again.states.asking == () and np.allclose(stands(again, "newB").position, (0.6, 1.001, 0.6))
+    assert again.states.asking == () and np.allclose(standing_object(again, "newB").position, (0.6, 1.001, 0.6))
 
 
 def test_what_may_be_in_the_grip_is_not_answered_with_all_others(two_placed):
@@ -254,7 +256,7 @@ def test_a_task_that_has_another_element_now_does_not_take_over_what_it_has_plac
     assert again.states.asking == ("oldB",)
     decisions.answer(again, "oldB", answer, "eva", "")
     assert again.next(NOW) == "ToldB" and again.element_of("ToldB") == "oldX"
-    assert (stands(again, "oldB") is not None) == (answer == "stands")
+    assert (standing_object(again, "oldB") is not None) == (answer == "stands")
 
 
 def test_tasks_that_have_changed_their_elements_leave_them_where_they_stand(two_placed):
@@ -263,7 +265,7 @@ def test_tasks_that_have_changed_their_elements_leave_them_where_they_stand(two_
     jobs = tuple(replace(job, id=other.get(job.element, job.id)) for job in ready.schedule.jobs)
     board = opened(two_placed, replace(ready, schedule=Schedule(jobs, ())))
     of_b(board)
-    assert stands(board, "oldA").position[0] == 0.0 and {
+    assert standing_object(board, "oldA").position[0] == 0.0 and {
         task for task, memory in board.states.tasks.items() if memory.placed
     } == {"ToldA", "ToldB"}
     assert board.element_of("ToldA") == "oldB" == board.states.tasks["ToldA"].element
@@ -282,10 +284,10 @@ def test_what_a_removal_has_taken_down_says_nothing_of_its_next_element(tmp_path
 
     board = opened(tmp_path, takes_down("old wall", "a"))
     decisions.removed(board, "TR", "eva", "")
-    assert stands(board, "old wall") is None
+    assert standing_object(board, "old wall") is None
     board.ledger.close()
     again = opened(tmp_path, takes_down("other wall", "b"))
-    assert stands(again, "other wall") is not None and again.states.tasks["TR"].state is TaskState.READY
+    assert standing_object(again, "other wall") is not None and again.states.tasks["TR"].state is TaskState.READY
 
 
 # -- the same element under another id
@@ -298,7 +300,9 @@ def test_a_model_with_other_ids_asks_by_name_whether_it_is_the_same_and_places_n
     for task in ("ToldA", "ToldB"):
         decisions.answer(board, task, "same", "eva", "")
     assert board.next(NOW) == "TnewC" and board.states.former == {}
-    assert stands(board, "oldB") is None and np.allclose(stands(board, "newB").position, (0.6, 1.001, 0.6))
+    assert standing_object(board, "oldB") is None and np.allclose(
+        standing_object(board, "newB").position, (0.6, 1.001, 0.6)
+    )
     assert board.built.deviation("TnewB").distance == pytest.approx(0.001)
     board.ledger.close()
     again = opened(two_placed, model("new", "A", "B", "C", "D", digest="b"))
@@ -344,7 +348,7 @@ def test_a_kill_after_any_line_of_the_questions_asks_again_and_forgets_nothing(t
         standing = [
             element
             for element in ("oldA", "newA")
-            if stands(again, element) and stands(again, element).position[0] == 0.0
+            if standing_object(again, element) and standing_object(again, element).position[0] == 0.0
         ]
         assert standing == (["oldA"] if left < len(lines) - 1 else ["newA"])
         assert again.next(NOW) == ("" if left < len(lines) else "TnewB")
@@ -363,7 +367,7 @@ def test_meshes_are_kept_beside_the_ledger_and_outlive_the_cache(tmp_path):
     board.ledger.close()
     (cache / "sleeper.obj").unlink()
     again = opened(tmp_path, model("new", "X", digest="b"))
-    found = stands(again, "oldA")
+    found = standing_object(again, "oldA")
     assert found.mesh_digest == ready.elements["oldA"].bodies[0].mesh_digest
     assert Path(found.mesh).parent == tmp_path / "standing"
 
@@ -406,11 +410,11 @@ def test_the_same_ids_in_another_ledger_are_asked_about_once(two_placed):
 def test_the_same_places_in_another_ledger_are_asked_about_and_others_are_not(two_placed):
     board = opened(two_placed, model("new", "X", digest="b"), "kr120_shed")
     assert board.states.asking == ("oldA",) and "in the same folder says that it was placed" in row(board, "A").question
-    assert stands(board, "oldA") is not None and stands(board, "oldB") is None
+    assert standing_object(board, "oldA") is not None and standing_object(board, "oldB") is None
     decisions.answer(board, "oldA", "taken_away", "eva", "")
     board.ledger.close()
     again = opened(two_placed, model("new", "X", digest="b"), "kr120_shed")
-    assert again.next(NOW) == "TnewX" and stands(again, "oldA") is None
+    assert again.next(NOW) == "TnewX" and standing_object(again, "oldA") is None
 
 
 def test_an_element_without_a_body_does_not_keep_other_ledgers_from_being_read(two_placed):
@@ -423,7 +427,7 @@ def test_an_element_without_a_body_does_not_keep_other_ledgers_from_being_read(t
 def test_what_another_robot_placed_is_asked_about_by_its_id_alone(two_placed):
     board = opened(two_placed, model("old", "A", digest="b"), "kr120_2_deck", "kr120_2")
     assert board.states.asking == ("ToldA",)
-    assert np.allclose(stands(board, "oldA").position, board.built.element("ToldA").base_T_goal.position), (
+    assert np.allclose(standing_object(board, "oldA").position, board.built.element("ToldA").base_T_goal.position), (
         "its own frame is another one"
     )
     board.ledger.close()

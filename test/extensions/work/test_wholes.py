@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ifc_models import IfcModel, noted
-from work_samples import box_pieces, building, element, robot, site
+from work_samples import box_pieces, building, element, robot, work_cell
 
+from construction_twin.extensions.work.layout import Layout
 from construction_twin.extensions.work.schedule import Schedule
-from construction_twin.extensions.work.site_scene import Layout
 from construction_twin.extensions.work.wholes import comes_after
 
 STUD = (0.1, 0.1, 1.0)
@@ -145,7 +145,7 @@ def test_a_workpiece_beside_those_that_tasks_place_is_an_obstacle():
 
 
 def test_what_is_on_an_element_is_in_the_scene_when_that_stands(tmp_path):
-    at = site(tmp_path)
+    at = work_cell(tmp_path)
     model = building(element("b"), element("c"), part("nail", on=("b",)))
     pieces = {name: box_pieces(model.element(name)) for name in model.elements}
     layout = Layout(at, model, pieces, ["b", "c"], robot().tip_link, {"nail": pieces["nail"]})

@@ -267,11 +267,11 @@ def test_an_element_is_in_one_place_only(events):
     memory = TaskMemory("plate")
     for event, answer in events:
         entry = Entry(event.value, "plate", answer=answer, plan="p", offer="o", pose=STANDS)
-        if memory.takes(entry):
-            memory = memory.then(entry)
+        if memory.accepts(entry):
+            memory = memory.with_entry(entry)
         else:
             with pytest.raises(NotNow):
-                memory.then(entry)
+                memory.with_entry(entry)
         assert memory.in_grip + memory.placed + memory.gone <= 1
         if memory.state in (TaskState.CARRIED, TaskState.CARRYING, TaskState.RELEASING):
             assert memory.in_grip
@@ -289,7 +289,7 @@ def test_a_task_waits_exactly_while_another_one_before_it_is_not_settled(events)
     book = fold(AFTER)
     for task, event, answer in events:
         entry = Entry(event.value, task, answer=answer)
-        if event not in (TaskEvent.FREED, TaskEvent.BLOCKED) and book.tasks[task].takes(entry):
-            book = book.then(entry)
+        if event not in (TaskEvent.FREED, TaskEvent.BLOCKED) and book.tasks[task].accepts(entry):
+            book = book.with_entry(entry)
         assert all(bool(book.missing(name)) for name in book.in_state(TaskState.WAITING))
         assert not any(book.missing(name) for name in book.in_state(TaskState.READY))

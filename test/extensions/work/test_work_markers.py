@@ -9,7 +9,7 @@ import pytest
 from scene_samples import box_triangles
 from visualization_msgs.msg import Marker, MarkerArray
 
-from construction_twin.extensions.work.built import Appearance
+from construction_twin.extensions.work.as_built import Appearance
 from construction_twin.extensions.work.nodes.work import COLOURS, TEXT, work_markers
 from construction_twin.kinematics.chain import Pose
 
@@ -17,7 +17,7 @@ QUARTER = np.array([(0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)])
 TRIANGLES = {**dict.fromkeys("abc", box_triangles((0.1, 0.2, 2.0))), "empty": np.empty((0, 3, 3))}
 
 
-def seen(element: str, word: str, x: float = 0.0) -> Appearance:
+def appearance(element: str, word: str, x: float = 0.0) -> Appearance:
     return Appearance(element, f"stud {element}", word, Pose(np.array((x, 0, 1.0)), QUARTER))
 
 
@@ -31,17 +31,21 @@ def markers(*elements: Appearance) -> dict[str, Marker]:
 
 
 def test_the_next_element_is_named_above_itself():
-    text = markers(seen("a", "placed"), seen("b", "next", 3.0), seen("c", "todo", 5.0))[TEXT]
+    text = markers(appearance("a", "placed"), appearance("b", "next", 3.0), appearance("c", "todo", 5.0))[TEXT]
     assert text.text == "next: stud b" and text.scale.z > 0
     assert (text.pose.position.x, text.pose.position.y, text.pose.position.z) == pytest.approx((3.0, 0.0, 2.15))
 
 
 def test_what_has_no_geometry_is_not_drawn():
-    assert set(markers(seen("a", "next"), seen("a", "stock"), seen("empty", "next"))) == {"a", "a stock", TEXT}
+    assert set(markers(appearance("a", "next"), appearance("a", "stock"), appearance("empty", "next"))) == {
+        "a",
+        "a stock",
+        TEXT,
+    }
 
 
 def test_markers_have_the_triangles_places_and_colours():
-    found = markers(seen("a", "todo", 2.0), seen("b", "carried", 0.1))
+    found = markers(appearance("a", "todo", 2.0), appearance("b", "carried", 0.1))
     one, carried = found["a"], found["b carried"]
     assert one.type == Marker.TRIANGLE_LIST and len(one.points) == 36
     assert (one.header.frame_id, carried.header.frame_id) == ("twin/base_link", "twin/tool0")

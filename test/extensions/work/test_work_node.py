@@ -23,7 +23,7 @@ from work_bench import (
 )
 
 from construction_twin.core.worker import Worker
-from construction_twin.extensions.work.built import pose_of_tuple
+from construction_twin.extensions.work.as_built import pose_of_tuple
 from construction_twin.extensions.work.errors import LedgerError
 from construction_twin.extensions.work.ledger import Ledger
 from construction_twin.extensions.work.loaded_model import WORKER
@@ -506,7 +506,7 @@ def test_tasks_that_wait_for_each_other_are_one_sentence_and_the_node_lives(benc
     bench.start(worker, model=str(path), cell=str(ROOT / "config/work/timber_panel.yaml"))
     try:
         bench.node.open()
-        bench.node.go_on()
+        bench.node.run_once()
         answer = bench.ask()
     finally:
         worker.close()

@@ -21,14 +21,14 @@ class Chosen:
     mass: float
 
 
-def chosen(of, among=None, with_tool=None):
+def find_task(of, among=None, with_tool=None):
     name, recipe = (among or recipes()).of(of)
     return Chosen(name, recipe, mass_of(of, name, recipe, with_tool or tool().tool))
 
 
 def choose(**changes):
     own = changes.pop("own", {})
-    return chosen(job(element("b", properties={PROPERTY_SET: own} if own else {}, **changes)))
+    return find_task(job(element("b", properties={PROPERTY_SET: own} if own else {}, **changes)))
 
 
 def test_the_first_recipe_that_fits_is_chosen():
@@ -105,7 +105,7 @@ def test_masses_unknown_or_too_large_are_refused():
 def test_tool_and_element_together_must_stay_within_the_load():
     small = tool().tool.model_copy(update={"load": 20.0})
     with pytest.raises(TaskPlanningError, match=r"together have 21\.5 kg; .* load data are for 20 kg"):
-        chosen(job(element("b")), with_tool=small)
+        find_task(job(element("b")), with_tool=small)
 
 
 def test_a_recipes_own_mass_is_used_where_the_model_has_none(tmp_path):
@@ -113,8 +113,8 @@ def test_a_recipes_own_mass_is_used_where_the_model_has_none(tmp_path):
     document["recipes"]["brick"]["mass"] = 5.0
     (tmp_path / "r.yaml").write_text(yaml.safe_dump(document))
     found = read_recipes(tmp_path / "r.yaml")
-    assert chosen(job(element("b", mass=None)), found).mass == 5.0
-    assert chosen(job(element("b", mass=3.0)), found).mass == 3.0
+    assert find_task(job(element("b", mass=None)), found).mass == 5.0
+    assert find_task(job(element("b", mass=3.0)), found).mass == 3.0
 
 
 @pytest.mark.parametrize(

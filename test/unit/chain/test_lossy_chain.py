@@ -85,19 +85,19 @@ def test_a_stall_is_found_while_datagrams_are_lost(share, servos):
 
 @pytest.mark.parametrize("servos", [NOMINAL, None], ids=["servos known", "not known"])
 def test_an_arm_that_its_gateway_keeps_still_is_waited_for_longer_than_setpoints_are_remembered(monkeypatch, servos):
-    monkeypatch.setattr(comparison, "KEPT", 1024)
+    monkeypatch.setattr(comparison, "MAX_SETPOINTS", 1024)
     chain = servo_chain(servos)
     plan, fastest, _ = sweep(chain, 0)
     chain.transitions.clear()
     chain.play(plan)
     chain.run_for(0.2 * fastest)
-    assert chain.gateway.on_control(Control("1", chain.gateway.session, "speed_limit", 0.0), chain.now).ok
+    assert chain.gateway.on_control(Control("1", chain.gateway.command_session, "speed_limit", 0.0), chain.now).ok
     assert chain.run_until(lambda: chain.executor.limit.standing, 5.0)
     chain.run_for(8.0)
     # nobody knows any more by how much it trails
     assert math.isnan(chain.gate.comparison.last.round_trip) and chain.executor.limit.waits
     assert chain.executor.limit.standing and left_in_sync(chain) == []
-    assert chain.gateway.on_control(Control("2", chain.gateway.session, "speed_limit", 1.0), chain.now).ok
+    assert chain.gateway.on_control(Control("2", chain.gateway.command_session, "speed_limit", 1.0), chain.now).ok
     assert chain.run_until(lambda: chain.executor.outcome != "", plan.trajectory.duration + 10.0)
     assert chain.executor.outcome == "finished" and left_in_sync(chain) == []
 
@@ -108,7 +108,7 @@ def test_a_link_that_falls_silent_while_the_arm_is_waited_for_closes_the_gate():
     chain.transitions.clear()
     chain.play(plan)
     chain.run_for(0.2 * fastest)
-    assert chain.gateway.on_control(Control("1", chain.gateway.session, "speed_limit", 0.0), chain.now).ok
+    assert chain.gateway.on_control(Control("1", chain.gateway.command_session, "speed_limit", 0.0), chain.now).ok
     assert chain.run_until(lambda: chain.executor.limit.standing, 5.0)
     chain.faults.inject(Fault("drop", values=(1.0,)))
     assert chain.run_until(lambda: chain.gate.state is not SyncState.IN_SYNC, 2.0), chain.gate.reason

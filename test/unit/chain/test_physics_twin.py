@@ -20,7 +20,7 @@ from construction_twin.monitor.states import SyncState
 def play(servo: str, duration: float) -> tuple[list[Comparison], np.ndarray, object]:
     """Return what the gate compared from the first setpoint on, and the plan's speeds [rad/s]."""
     twin = LiveTwin()
-    twin.take_model(model_in())
+    twin.set_model(model_in())
     chain = make_chain(3, servo, backend=twin)
     plan = make_plan(chain, REACH, duration=duration)
     compared: list[Comparison] = []
@@ -54,7 +54,7 @@ def test_with_the_ideal_servo_the_twin_s_lag_is_in_the_threshold_s_part_for_spee
 
 def test_the_executor_idles_at_what_is_commanded_although_the_simulated_arm_is_elsewhere():
     twin = LiveTwin()
-    twin.take_model(model_in())
+    twin.set_model(model_in())
     chain = make_chain(3, "realistic", backend=twin)
     chain.play(make_plan(chain, REACH, duration=2.2))
     assert chain.run_until(lambda: chain.executor.outcome == "finished", 8.0), chain.executor.reason
@@ -68,7 +68,7 @@ def test_the_executor_idles_at_what_is_commanded_although_the_simulated_arm_is_e
 
 def test_a_stalled_axis_closes_the_gate_and_the_simulated_arm_comes_to_rest_at_what_is_held():
     twin = LiveTwin()
-    twin.take_model(model_in())
+    twin.set_model(model_in())
     chain = make_chain(3, "realistic", backend=twin)
     chain.play(make_plan(chain, REACH, duration=3.0))
     chain.run_for(1.0)

@@ -27,7 +27,7 @@ from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import NANOSECONDS, from_wire, to_wire
 from construction_twin.evaluation.recording import PlayedPlan
 from construction_twin.execution.approval import Approval
-from construction_twin.extensions.physics.process import prepared
+from construction_twin.extensions.physics.process import load_rehearsal
 from construction_twin.extensions.physics.rehearsal import Rehearsal
 from construction_twin.gateway.states import State
 from construction_twin.gateway.trace import TraceEntry
@@ -95,7 +95,7 @@ class ScenarioRun:
         self._rehearsal: Rehearsal | None = None
         if content.get("executor", {}).get("rehearsal") == "require":
             files = str(ROOT / "config/kr120_self_collision.yaml"), DRIVES
-            self._rehearsal = prepared(ROBOT, *files, payload=tuple(content["rehearsal"]["payload"]))
+            self._rehearsal = load_rehearsal(ROBOT, *files, payload=tuple(content["rehearsal"]["payload"]))
         #: What the gateway sent.
         self.trace: list[TraceEntry] = []
         self.chain.gateway.trace = self._on_reply
@@ -168,7 +168,7 @@ class ScenarioRun:
         elif step.inject:
             self._inject(step.inject)
         elif step.call:
-            self._note("call", step.call)
+            self._record_action("call", step.call)
             self._call(step.call)
 
     def _moment(self, when: str, deadline: int) -> int:
@@ -193,7 +193,7 @@ class ScenarioRun:
         )
 
     def _move(self, move: Move) -> None:
-        self._note("move", str(move.goal_deg))
+        self._record_action("move", str(move.goal_deg))
         self._moved = self.chain.now
         goal = from_wire(move.goal_deg, ROBOT.linear)
         timing = {"duration": move.duration} if move.duration else {"speed_scale": 0.5}
@@ -221,11 +221,11 @@ class ScenarioRun:
         except ReviewError as error:
             if not refused:
                 raise
-            self._note("refused", plan.id, str(error))
+            self._record_action("refused", plan.id, str(error))
             return
         if refused:
             raise ScenarioError(f"plan {plan.id} was approved; expected a refusal")
-        self._note("approve", plan.id)
+        self._record_action("approve", plan.id)
 
     def _inject(self, injection: Injection) -> None:
         """Switch a fault on or off between two cycles of the controller."""
@@ -239,7 +239,7 @@ class ScenarioRun:
         faults = self.chain.faults
         self._request(lambda: faults.end(fault) if injection.end else faults.inject(fault))
         if injection.fault in ("restart_at", "jog"):
-            self._note("fault", injection.fault)
+            self._record_action("fault", injection.fault)
 
     def _request(self, action: Callable[[], object]) -> None:
         """Have the controller do something, and wait until it has."""
@@ -285,9 +285,9 @@ class ScenarioRun:
 
     def _in_the_background(self) -> None:
         if self._auto:
-            self._approval.approve_by_itself(self.chain.now)
+            self._approval.approve_automatically(self.chain.now)
 
-    def _note(self, topic: str, value: str, reason: str = "") -> None:
+    def _record_action(self, topic: str, value: str, reason: str = "") -> None:
         self._actions.append(Change(self.chain.now, topic, value, reason))
 
     def _last(self, topic: str) -> str:
@@ -314,7 +314,7 @@ class ScenarioRun:
         """What the mock would publish in a cycle."""
         chain, controller = self.chain, self.chain.controller
         now = chain.now
-        true = joint_angles(ROBOT, controller.true)
+        true = joint_angles(ROBOT, controller.true_position)
         self._arm.append((now, true))
         self._rest.update(now / NANOSECONDS, true)
         if controller.counters["missed"] != self._missed:

@@ -22,7 +22,7 @@ from construction_twin.gateway.states import State
 from construction_twin.link.observations import LinkState
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import Fault
-from construction_twin.mock.program import MockSettings, build_controller, gateway_address, make_forward_kinematics
+from construction_twin.mock.program import MockSettings, build_controller, build_forward_kinematics, gateway_address
 from construction_twin.mock.servo import IdealServo
 from construction_twin.ros.shared.gateway_config import gateway_config
 
@@ -58,7 +58,7 @@ def made(**options) -> SimulatedChain:
     config = dataclasses.replace(
         plain, layout=Frames(), cycle=CYCLE_MS, units=(), first_stamp=stamp_of(1, 0), restart_gap=SESSION
     )
-    controller = MockController(config, IdealServo(3, config.period), make_forward_kinematics(ROBOT))
+    controller = MockController(config, IdealServo(3, config.period), build_forward_kinematics(ROBOT))
     chain = SimulatedChain(ROBOT, CONFIG, controller, **options)
     assert chain.run_until(lambda: chain.ready, 5.0), (chain.supervisor.reason, chain.gateway.reason)
     return chain
@@ -143,12 +143,12 @@ def test_the_last_resort_brakes_from_the_last_target_and_answers_on():
     step = 0.002
     for cycle in range(1, 20):
         targets = [tuple(ARM + step * n) for n in (cycle, cycle - 1)]
-        resort.sent(stamp_of(1, cycle), PEER, *targets, 0)
-    resort.take_over()
+        resort.on_reply_sent(stamp_of(1, cycle), PEER, *targets, 0)
+    resort.begin()
     decode, before = frames_make.controller_side(CONFIG.layout, CONFIG.axes, (), 6).decode, np.array(targets[0])
     for cycle in range(20, 200):
         stamp = resort.stamp_of(frame(cycle), PEER)
-        assert not resort.note_missed(stamp, frame(cycle))
+        assert not resort.rewind_if_lost(stamp, frame(cycle))
         reply = decode(resort.answer(stamp))
         assert reply.controller_ms == stamp_of(1, cycle)
         assert (np.array(reply.target) - before <= step).all()

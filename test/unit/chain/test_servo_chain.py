@@ -70,7 +70,7 @@ def test_what_is_wrong_with_a_joint_is_found_and_not_learned(fault):
     servo.carry(0.4) if fault == "heavy payload" else chain.faults.inject(fault)
     work.run(60.0)
     assert work.holds
-    assert max(map(abs, chain.gate.watch_of_servos.refinement.later)) <= 0.002
+    assert max(map(abs, chain.gate.servo_watch.refinement.added_lags)) <= 0.002
 
 
 def test_a_payload_within_the_rating_closes_nothing_and_is_refined():
@@ -81,9 +81,9 @@ def test_a_payload_within_the_rating_closes_nothing_and_is_refined():
     work.run(15.0)
     before = work.largest
     changes = []
-    work.run(45.0, lambda number: changes.append(chain.gate.watch_of_servos.refinement.later))
+    work.run(45.0, lambda number: changes.append(chain.gate.servo_watch.refinement.added_lags))
     assert not work.holds
-    later = np.array(chain.gate.watch_of_servos.refinement.later)
+    later = np.array(chain.gate.servo_watch.refinement.added_lags)
     # 3 % of 60 rad/s are 0.8 ms
     assert later == pytest.approx(np.full(6, 2 * 0.8 / 60.0 * (1 / 0.97 - 1)), abs=2.5e-4)
     work.forget()
@@ -97,15 +97,15 @@ def test_a_speed_limit_and_a_pause_close_nothing():
     plan, fastest, _ = sweep(chain, 0)
     chain.play(plan)
     chain.run_for(0.5 * fastest)
-    chain.gateway.on_control(Control("1", chain.gateway.session, "speed_limit", 0.2), chain.now)
+    chain.gateway.on_control(Control("1", chain.gateway.command_session, "speed_limit", 0.2), chain.now)
     chain.run_for(0.5)
-    chain.gateway.on_control(Control("2", chain.gateway.session, "speed_limit", 1.0), chain.now)
+    chain.gateway.on_control(Control("2", chain.gateway.command_session, "speed_limit", 1.0), chain.now)
     chain.run_for(0.5)
     chain.executor.pause(chain.now)
     chain.run_for(2.0)
     chain.executor.resume()
     assert chain.run_until(lambda: chain.executor.outcome == "finished", 10.0)
-    assert chain.gate.state is SyncState.IN_SYNC and chain.gate.watch_of_servos.judged > 200
+    assert chain.gate.state is SyncState.IN_SYNC and chain.gate.servo_watch.judged > 200
 
 
 def test_the_arm_with_mass_is_followed_with_known_payloads():

@@ -62,7 +62,7 @@ def test_a_grip_that_is_lost_in_motion_stops_the_arm_and_what_is_armed_never_fir
     chain.run_for(5.0)
     assert vacuum(chain) and [value for _, value in edges(chain)] == [True]
     assert "gripped reads off" in " ".join(
-        str(event) for event in (chain.executor.reason, *chain.executor.take_events())
+        str(event) for event in (chain.executor.reason, *chain.executor.pop_events())
     )
 
 

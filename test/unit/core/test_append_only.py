@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from memory import size
 
-from construction_twin.core.append_only import KEPT, AppendOnlyFile, read_lines
+from construction_twin.core.append_only import MAX_DEFERRED, AppendOnlyFile, read_lines
 from construction_twin.core.errors import ConfigurationError, RecordError
 
 NOW = 1_790_000_000_123_456_789
@@ -58,7 +58,7 @@ def test_goes_on_behind_what_is_there(path):
     for number in range(3):
         file = AppendOnlyFile(path, RecordError, "executor")
         file.append(NOW, {"name": str(number)})
-        assert (file.lines, file.mended) == (number + 1, 0)
+        assert (file.lines, file.cut_off) == (number + 1, 0)
         file.close()
     assert names(path) == ["0", "1", "2"]
 
@@ -70,7 +70,7 @@ def test_a_last_line_without_its_end_is_cut_off_wherever_it_was_torn(path):
         path.write_bytes(whole + torn[:length])
         assert names(path) == ["whole"], "what has no end was not reported as written"
         file = AppendOnlyFile(path, RecordError, "executor")
-        assert (file.mended, file.lines) == (length, 1)
+        assert (file.cut_off, file.lines) == (length, 1)
         assert path.read_bytes() == whole
         file.append(NOW, {"name": "later"})
         file.close()
@@ -128,8 +128,8 @@ def test_while_the_disk_refuses_a_bounded_number_is_kept_and_how_many_are_missin
 ):
     with monkeypatch.context() as patch:
         patch.setattr(os, "write", full)
-        for number in range(KEPT + 7):
-            if number == KEPT:
+        for number in range(MAX_DEFERRED + 7):
+            if number == MAX_DEFERRED:
                 held = size(file)
             file.defer(number, {"name": str(number)})
         assert size(file) < held + 7 and file.lost == 7
@@ -139,7 +139,7 @@ def test_while_the_disk_refuses_a_bounded_number_is_kept_and_how_many_are_missin
     assert path.read_bytes() == b""
     file.append(NOW, {"name": "next"})
     *kept, gap, following = read_lines(path)
-    assert [line["name"] for line in kept] == [str(number) for number in range(KEPT)]
+    assert [line["name"] for line in kept] == [str(number) for number in range(MAX_DEFERRED)]
     assert (gap["record"], gap["lost"], following["name"]) == ("gap", 7, "next")
 
 

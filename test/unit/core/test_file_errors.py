@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from construction_twin.core.errors import ConfigurationError, FileError, problem_of, spoken
+from construction_twin.core.errors import ConfigurationError, FileError, command_message, system_message
 
 
 def failing(number: int, *names: str) -> OSError:
@@ -28,22 +28,22 @@ def failing(number: int, *names: str) -> OSError:
 def test_each_problem_has_its_sentence_and_the_file_s_name(number, words):
     error = FileError("a.csv", failing(number, "a.csv"))
     assert words in str(error) and error.path == "a.csv"
-    assert spoken(failing(number, "a.csv")) == str(error) and "Errno" not in str(error)
+    assert command_message(failing(number, "a.csv")) == str(error) and "Errno" not in str(error)
 
 
 def test_another_problem_is_said_as_the_system_says_it():
-    assert spoken(failing(errno.EIO, "a.csv")) == f"a.csv: {os.strerror(errno.EIO)}"
-    assert problem_of(failing(errno.EIO, "a.csv")) == os.strerror(errno.EIO)
+    assert command_message(failing(errno.EIO, "a.csv")) == f"a.csv: {os.strerror(errno.EIO)}"
+    assert system_message(failing(errno.EIO, "a.csv")) == os.strerror(errno.EIO)
     # what has no number is said in its own words
-    assert problem_of(OSError("broken")) == "broken"
+    assert system_message(OSError("broken")) == "broken"
 
 
 def test_of_two_files_both_are_named():
-    assert "a.csv -> b.csv" in spoken(failing(errno.ENOENT, "a.csv", "b.csv"))
+    assert "a.csv -> b.csv" in command_message(failing(errno.ENOENT, "a.csv", "b.csv"))
 
 
 def test_any_other_error_is_said_as_it_is():
-    assert spoken(ConfigurationError("a", 1, "b")) == str(ConfigurationError("a", 1, "b"))
+    assert command_message(ConfigurationError("a", 1, "b")) == str(ConfigurationError("a", 1, "b"))
 
 
 def test_a_file_that_is_no_text_says_where(tmp_path):

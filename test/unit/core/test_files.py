@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from construction_twin.core.files import write_whole
+from construction_twin.core.files import write_atomically
 
 #: Writes a file in a process that can write 1 kB into one: as on a disk that becomes full.
 FULL = """
 import pathlib, resource, sys
-from construction_twin.core.files import write_whole
+from construction_twin.core.files import write_atomically
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
-write_whole(pathlib.Path(sys.argv[1]), 2000 * "a")
+write_atomically(pathlib.Path(sys.argv[1]), 2000 * "a")
 """
 
 
@@ -30,7 +30,7 @@ def test_a_full_disk_leaves_the_old_file_and_nothing_else(tmp_path):
 def test_a_second_text_replaces_the_first_and_leaves_nothing_else(tmp_path):
     file = tmp_path / "made" / "file"
     for text in ("first", "second"):
-        write_whole(file, text)
+        write_atomically(file, text)
     assert file.read_text() == "second" and list(file.parent.iterdir()) == [file]
 
 
@@ -38,5 +38,5 @@ def test_a_second_text_replaces_the_first_and_leaves_nothing_else(tmp_path):
 def test_a_folder_is_no_file(tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(OSError):
-        write_whole(Path(name), "text")
+        write_atomically(Path(name), "text")
     assert list(tmp_path.iterdir()) == []

@@ -64,7 +64,7 @@ def test_anything_else_is_no_moment(text):
 def test_the_robot_s_clock_is_one_clock_that_nobody_sets(monkeypatch):
     monkeypatch.setattr(robot_clock.time, "time_ns", lambda: 0)
     monkeypatch.setattr(robot_clock.time, "time", lambda: 0.0)
-    first, second = robot_clock.present(), robot_clock.present()
+    first, second = robot_clock.present_moment(), robot_clock.present_moment()
     assert first.origin == second.origin and first.at <= second.at
     assert parse_moment(str(first)).origin == first.origin and staleness(first, second) == ""
 

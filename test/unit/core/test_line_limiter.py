@@ -8,7 +8,7 @@ from construction_twin.core.units import NANOSECONDS
 
 def test_a_flood_makes_one_line_per_second_which_counts_the_others():
     limiter = LineLimiter()
-    notes = [limiter.note("control", k * NANOSECONDS // 1000) for k in range(3001)]
+    notes = [limiter.admit("control", k * NANOSECONDS // 1000) for k in range(3001)]
     written = [(k, note) for k, note in enumerate(notes) if note is not None]
     assert written == [
         (0, ""),
@@ -18,5 +18,5 @@ def test_a_flood_makes_one_line_per_second_which_counts_the_others():
 
 def test_reasons_do_not_hide_each_other():
     limiter = LineLimiter()
-    assert limiter.note("control", 0) == ""
-    assert limiter.note("arm", 1) == "" and limiter.note("control", 2) is None
+    assert limiter.admit("control", 0) == ""
+    assert limiter.admit("arm", 1) == "" and limiter.admit("control", 2) is None

@@ -10,7 +10,7 @@ from enum import Enum
 from hypothesis import given
 from hypothesis import strategies as st
 
-from construction_twin.core.records import SPACED, as_seconds, document, dumped, left_out
+from construction_twin.core.records import SPACED, json_value, optional_field, seconds_field, to_json
 
 
 class Kind(Enum):
@@ -34,31 +34,31 @@ class Outer:
 
 @dataclass(frozen=True)
 class Timed:
-    stamp: int = as_seconds()
-    begun: int = as_seconds(None)
+    stamp: int = seconds_field()
+    begun: int = seconds_field(None)
 
 
 @dataclass(frozen=True)
 class Partly:
     name: str | None = None
-    more: str | None = left_out()
-    parts: tuple[Inner, ...] | None = left_out()
+    more: str | None = optional_field()
+    parts: tuple[Inner, ...] | None = optional_field()
 
 
 def test_what_is_left_out_is_not_there_unless_it_is_a_value_which_may_be_empty():
-    assert document(Partly()) == {"name": None}
-    assert document(Partly(more="", parts=())) == {"name": None, "more": "", "parts": []}
-    assert document(Partly(parts=(Inner(0.5),)))["parts"] == [{"value": 0.5, "kind": "BOX"}]
+    assert json_value(Partly()) == {"name": None}
+    assert json_value(Partly(more="", parts=())) == {"name": None, "more": "", "parts": []}
+    assert json_value(Partly(parts=(Inner(0.5),)))["parts"] == [{"value": 0.5, "kind": "BOX"}]
 
 
 def test_marks_are_as_short_as_they_can_be_or_with_blanks():
-    assert dumped(Inner(0.5)) == b'{"value":0.5,"kind":"BOX"}'
-    assert dumped([Inner(0.5), 1], marks=SPACED) == b'[{"value": 0.5, "kind": "BOX"}, 1]'
+    assert to_json(Inner(0.5)) == b'{"value":0.5,"kind":"BOX"}'
+    assert to_json([Inner(0.5), 1], separators=SPACED) == b'[{"value": 0.5, "kind": "BOX"}, 1]'
 
 
 def test_fields_come_in_their_order_with_what_they_hold():
     record = Outer("ä", Inner(0.5), (Inner(1.0), Inner(2.0)), {"b": 1, "a": 2}, 1_500_000_000)
-    assert json.dumps(document(record)) == (
+    assert json.dumps(json_value(record)) == (
         '{"name": "\\u00e4", "inner": {"value": 0.5, "kind": "BOX"}, "parts": [{"value": 1.0, "kind": "BOX"}, '
         '{"value": 2.0, "kind": "BOX"}], "counts": {"b": 1, "a": 2}, "stamp": 1500000000}'
     )
@@ -66,8 +66,10 @@ def test_fields_come_in_their_order_with_what_they_hold():
 
 def test_what_is_no_number_is_null_at_every_depth():
     record = Outer("", Inner(math.nan), (Inner(math.inf), Inner(-math.inf)))
-    assert [document(record)["inner"]["value"], *(part["value"] for part in document(record)["parts"])] == [None] * 3
-    assert document([math.nan, [math.inf]]) == [None, [None]]
+    assert [json_value(record)["inner"]["value"], *(part["value"] for part in json_value(record)["parts"])] == [
+        None
+    ] * 3
+    assert json_value([math.nan, [math.inf]]) == [None, [None]]
 
 
 @given(st.text(), st.floats(), st.lists(st.floats(), max_size=5), st.integers(0, 2**62))
@@ -82,9 +84,9 @@ def test_json_is_that_of_the_values_one_by_one(name, value, values, stamp):
         "stamp": stamp,
     }
     record = Outer(name, Inner(value), tuple(map(Inner, values)), {}, stamp)
-    assert dumped(record) == json.dumps(wanted, allow_nan=False, separators=(",", ":")).encode()
+    assert to_json(record) == json.dumps(wanted, allow_nan=False, separators=(",", ":")).encode()
 
 
 def test_a_time_in_whole_ns_is_written_in_seconds_and_where_there_is_none_as_null():
-    assert document(Timed(1_500_000_000, 2_000_000_001)) == {"stamp": 1.5, "begun": 2.000000001}
-    assert document(Timed()) == {"stamp": 0.0, "begun": None}
+    assert json_value(Timed(1_500_000_000, 2_000_000_001)) == {"stamp": 1.5, "begun": 2.000000001}
+    assert json_value(Timed()) == {"stamp": 0.0, "begun": None}

@@ -17,8 +17,8 @@ DEADLINE, SILENT = 0.5, 0.1
 def test_a_source_counts_until_its_deadline_and_is_silent_after_it():
     source = SpeedLimit(0.5, 0.1)
     source.accept(0.4, "camera", SECOND)
-    assert source.is_heard(SECOND + SECOND // 2) and not source.is_silent(SECOND + SECOND // 2)
-    assert source.is_silent(SECOND + SECOND // 2 + 1) and not source.is_heard(SECOND + SECOND // 2 + 1)
+    assert source.is_fresh(SECOND + SECOND // 2) and not source.is_silent(SECOND + SECOND // 2)
+    assert source.is_silent(SECOND + SECOND // 2 + 1) and not source.is_fresh(SECOND + SECOND // 2 + 1)
     assert source.deadline == 0.5
 
 
@@ -68,7 +68,7 @@ def test_where_a_source_is_required_its_absence_is_silence():
 def test_silence_of_a_source_counts_as_the_lower_of_both_and_is_said(given, after):
     limit = SpeedLimit(DEADLINE, SILENT, required=False)
     limit.accept(given, "/scanner", 0, "a person is near")
-    assert limit.update(SECOND // 2) == given and limit.state is LimitState.HEARD
+    assert limit.update(SECOND // 2) == given and limit.state is LimitState.FRESH
     assert "/scanner: a person is near" in limit.reason
     assert limit.update(SECOND // 2 + 1) == after and limit.state is LimitState.SILENT
     assert "/scanner is silent for more than 0.5 s" in limit.reason

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from construction_twin.core.units import for_people, format_allowance
+from construction_twin.core.units import display_text, format_allowance
 
 
 @pytest.mark.parametrize("decimals, allowance_deg", [(3, 125.0), (6, 0.125), (1, 12_500.0)])
@@ -29,4 +29,4 @@ def test_format_allowance_is_the_design_s(decimals, allowance_deg):
     ],
 )
 def test_people_read_degrees_and_millimetres(value, unit, said):
-    assert for_people(value, unit) == said
+    assert display_text(value, unit) == said

@@ -11,7 +11,7 @@ from chain_samples import REACH, ROBOT, make_chain, make_plan, play_to_the_end
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.evaluation.recording import FeedbackStream, StateChange
-from construction_twin.extensions.physics.commands.identify import cycle_of, drives_of
+from construction_twin.extensions.physics.commands.identify import cycle_of, recorded_motions
 from construction_twin.extensions.physics.identification import identify
 
 
@@ -27,7 +27,7 @@ def run():
 
 def test_the_mocks_servo_is_found_from_what_a_bag_holds(run):
     assert cycle_of(run) == CYCLE_NS
-    drives = drives_of(run, CYCLE_NS)
+    drives = recorded_motions(run, CYCLE_NS)
     assert sum(len(drive.targets) for drive in drives) > 1000
     for joint in identify(run.joint_names, drives, CYCLE_NS):
         assert joint.servo.lag(CYCLE) == pytest.approx(2 * 0.8 / 60.0 - CYCLE / 2, abs=1e-4)
@@ -42,8 +42,8 @@ def test_states_that_are_missing_end_a_stretch_and_the_next_begins_at_rest(run):
     parts = {
         name: getattr(feedback, name)[kept] for name in ("stamps", "positions", "received", "seq", "command_stamps")
     }
-    whole = drives_of(run, CYCLE_NS)
-    drives = drives_of(replace(run, feedback=FeedbackStream(**parts)), CYCLE_NS)
+    whole = recorded_motions(run, CYCLE_NS)
+    drives = recorded_motions(replace(run, feedback=FeedbackStream(**parts)), CYCLE_NS)
     assert len(drives) == len(whole) + 1
     assert all((drive.targets[0] == drive.targets[1]).all() for drive in drives)
 
@@ -51,15 +51,15 @@ def test_states_that_are_missing_end_a_stretch_and_the_next_begins_at_rest(run):
 def test_rows_at_a_closed_gate_are_not_judged(run):
     at = int(run.feedback.stamps[len(run.feedback) // 2])
     closed = (StateChange(0, "gate", "IN_SYNC", ""), StateChange(at, "gate", "HOLDING", ""))
-    counts = [drive.counts.sum() for drive in drives_of(run, CYCLE_NS)]
-    fewer = [drive.counts.sum() for drive in drives_of(replace(run, changes=closed), CYCLE_NS)]
+    counts = [drive.counts.sum() for drive in recorded_motions(run, CYCLE_NS)]
+    fewer = [drive.counts.sum() for drive in recorded_motions(replace(run, changes=closed), CYCLE_NS)]
     assert sum(fewer) < 0.6 * sum(counts)
 
 
 def test_a_recording_without_commands_or_stamps_is_refused(run):
     for lacking in (replace(run, command=None), replace(run, feedback=None)):
         with pytest.raises(ConstructionTwinError):
-            identify(run.joint_names, drives_of(lacking, CYCLE_NS), CYCLE_NS)
+            identify(run.joint_names, recorded_motions(lacking, CYCLE_NS), CYCLE_NS)
     none = replace(run.feedback, command_stamps=np.zeros_like(run.feedback.command_stamps))
     with pytest.raises(ConstructionTwinError):
         cycle_of(replace(run, feedback=none))

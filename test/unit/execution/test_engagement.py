@@ -60,7 +60,7 @@ def stopped_in(bench: Bench, segment: int, cycles: int = 60, plan=None) -> Engag
 def way_back(bench: Bench, name: str = "back", **fields):
     """Return the plan of the way back, from where the arm stands."""
     left = bench.executor.engagement.present
-    begin = left.path.entry(bench.twin).time
+    begin = left.path.nearest_point(bench.twin).time
     fields = {"requires": left.requires(bench.executor.tool), "scene": bench.executor.under_review.scene} | fields
     return plan_back(motion_back(left.path, begin), name=name, asked_ns=bench.stamp, **fields)
 
@@ -146,7 +146,7 @@ class TestEngaged:
         offer_back(bench, plan)
         # freed, and left in another one: what was found for the first says nothing of the second
         keeper = bench.executor.engagement
-        keeper.leave_inside(replace(keeper.present, reason="again"))
+        keeper.mark_engaged(replace(keeper.present, reason="again"))
         with pytest.raises(
             ReviewError,
             match=r"may not start: the arm was left in engaged segment 'lift' of plan w \(again\)",
@@ -158,7 +158,7 @@ class TestEngaged:
         bench.approval.rehearsal = RehearsalCheck(required=True)
         plan = way_back(bench)
         offer_back(bench, plan)
-        bench.approval.look_for_obstacle()
+        bench.approval.update_obstacle()
         assert bench.approval.obstacle == ""
         bench.review(plan.id, plan.hash, True, "Ada")
         bench.run_until_idle()
@@ -210,7 +210,7 @@ class TestEngaged:
     def test_a_person_frees_no_other_engagement_than_was_looked_at(self, bench):
         left = stopped_in(bench, 2)
         bench.record = lambda record: (
-            bench.records.append(record) or bench.executor.engagement.leave_inside(replace(left))
+            bench.records.append(record) or bench.executor.engagement.mark_engaged(replace(left))
         )
         with pytest.raises(ExecutionError, match="left in another engaged segment meanwhile"):
             bench.approval.release("Ada", "by hand")
@@ -224,7 +224,7 @@ class TestEngaged:
         other.with_tool().ready()
         other.tool.inputs = {"gripped": True}
         other.tell()
-        assert other.executor.engagement.engaged and other.executor.engagement.settled
+        assert other.executor.engagement.engaged and other.executor.engagement.saved
         plan = way_back(other)
         offer_back(other, plan)
         other.review(plan.id, plan.hash, True, "Ada")
@@ -339,7 +339,7 @@ class TestWayBack:
         side = np.array([1.0, 0, 0, 0, 0, 0])
         side -= way * (side @ way) / (way @ way)
         beside = np.array(bench.twin) + share * LARGEST_ENTRY * side / np.abs(side).max()
-        entry = left.path.entry(beside)
+        entry = left.path.nearest_point(beside)
         there = left.path.trajectory.sample(entry.time)[0]
         plan = plan_back(joined(reach(beside, there, 0.5), motion_back(left.path, entry.time)), GRIPPED, LATER[0])
         if fits:
@@ -355,7 +355,7 @@ class TestWayBack:
         path = ExecutedPath(smooth(poses), 0.0)
         path = ExecutedPath(path.trajectory, share * path.trajectory.duration)
         left = Engagement("w", "t", "s", path, (((), SCENE),))
-        plan = plan_back(motion_back(path, path.entry(path.points()[-1]).time, pace=pace))
+        plan = plan_back(motion_back(path, path.nearest_point(path.points()[-1]).time, pace=pace))
         check_way_back(plan, left)
         motion = plan.trajectory
         positions = motion.positions.copy()
@@ -396,20 +396,20 @@ class TestExecutedPath:
         motion = between(0.0, 0.5, 0.0)
         path = ExecutedPath(motion, motion.duration)
         pose = motion.sample(0.4)[0]
-        entry = path.entry(pose)
+        entry = path.nearest_point(pose)
         assert abs(entry.time - 1.2) < 1e-6 and entry.distance < 1e-9
         # before it was reached a second time there is one passage
-        assert abs(ExecutedPath(motion, 1.0).entry(pose).time - 0.4) < 1e-3
+        assert abs(ExecutedPath(motion, 1.0).nearest_point(pose).time - 0.4) < 1e-3
 
     def test_beside_it_the_nearest_place(self):
         motion = between(0.0, 1.0)
         beside = motion.sample(0.4)[0] + 0.01 * np.array([1.0, 0, 0, 0, 0, 0])
-        entry = ExecutedPath(motion, motion.duration).entry(beside)
+        entry = ExecutedPath(motion, motion.duration).nearest_point(beside)
         assert 0.0 < entry.distance <= 0.01 and abs(entry.time - 0.4) < 0.05
 
     def test_a_path_of_no_length(self):
         motion = between(0.0, 1.0)
-        entry = ExecutedPath(motion, 0.0).entry(motion.positions[0])
+        entry = ExecutedPath(motion, 0.0).nearest_point(motion.positions[0])
         assert (entry.time, entry.distance) == (0.0, 0.0)
 
 

@@ -159,15 +159,15 @@ class TestPlaying:
     )
     def test_what_became_of_it_is_reported_once(self, bench, end, outcome):
         plan = bench.play(make_plan(), 100)
-        assert bench.executor.take_events() == []
+        assert bench.executor.pop_events() == []
         end(bench)
         bench.run(10)
-        (event,) = bench.executor.take_events()
+        (event,) = bench.executor.pop_events()
         assert (event.plan, event.outcome, event.outcome) == (plan, outcome, bench.executor.outcome)
         assert event.reason
 
     def test_a_rate_limit_slows_it_down_from_the_first_cycle_on(self, bench):
-        bench.executor.limit.take(0.5)
+        bench.executor.limit.set_fraction(0.5)
         bench.approve(make_plan())
         outputs = bench.run_until_idle()
         assert len(outputs) == pytest.approx(1000, abs=2) and outputs[-1] == GOAL
@@ -176,7 +176,7 @@ class TestPlaying:
     @pytest.mark.parametrize("factor", [-0.1, 1.001, float("nan")])
     def test_refuses_a_rate_that_is_no_share_of_the_planned_one(self, bench, factor):
         with pytest.raises(ExecutionError, match="expected a fraction of the planned speed, 0 to 1"):
-            bench.executor.limit.take(factor)
+            bench.executor.limit.set_fraction(factor)
 
 
 def rows_of(motion: Trajectory) -> tuple[np.ndarray, ...]:
@@ -193,31 +193,31 @@ class TestWords:
 
     def test_a_limit_that_is_gone_is_not_spoken_of(self):
         bench = self.playing()
-        bench.executor.limit.take(0.25, "somebody is near")
+        bench.executor.limit.set_fraction(0.25, "somebody is near")
         bench.run(3)
         assert bench.executor.reason == "approved by Ada; at 25% of the planned speed: somebody is near"
-        bench.executor.limit.take(1.0, "nobody is near")
+        bench.executor.limit.set_fraction(1.0, "nobody is near")
         assert bench.executor.reason == bench.executor.cause == "approved by Ada"
 
     def test_who_stands_says_why_now(self):
         bench = self.playing()
-        bench.executor.limit.take(0.0, "separation 0.50 m")
+        bench.executor.limit.set_fraction(0.0, "separation 0.50 m")
         while not bench.executor.limit.standing:
             bench.step()
         assert bench.executor.reason == "stands still on the path, goes on by itself: separation 0.50 m"
-        bench.executor.limit.take(0.0, "the sensor is silent")
+        bench.executor.limit.set_fraction(0.0, "the sensor is silent")
         assert bench.executor.reason.endswith("by itself: the sensor is silent")
-        bench.executor.limit.take(0.25, "somebody is near")
+        bench.executor.limit.set_fraction(0.25, "somebody is near")
         bench.run(20)
         assert not bench.executor.limit.standing and "at 25% of the planned speed" in bench.executor.reason
-        bench.executor.limit.take(1.0, "")
+        bench.executor.limit.set_fraction(1.0, "")
         assert bench.executor.reason == "approved by Ada"
 
     def test_an_arm_that_trails_by_much_is_waited_for_on_the_path_until_it_has_caught_up(self):
         bench = self.playing()
-        bench.executor.limit.trail(0.99)
+        bench.executor.limit.on_lag(0.99)
         assert bench.executor.reason == "approved by Ada" and bench.executor.limit.rate == 1.0
-        bench.executor.limit.trail(1.0)
+        bench.executor.limit.on_lag(1.0)
         while not bench.executor.limit.standing:
             bench.step()
         assert bench.executor.reason.startswith(
@@ -227,21 +227,21 @@ class TestWords:
         standing = bench.run(3)
         assert (np.diff(standing, axis=0) == 0.0).all()
         # not as soon as it trails by a little less
-        bench.executor.limit.trail(0.5)
+        bench.executor.limit.on_lag(0.5)
         bench.run(3)
         assert bench.executor.limit.standing
-        bench.executor.limit.trail(0.49)
+        bench.executor.limit.on_lag(0.49)
         assert bench.run_until_idle()[-1] == GOAL and bench.executor.outcome == "finished"
         assert within_acceleration(bench.outputs)
 
     def test_a_limit_of_0_is_why_it_stands_although_the_arm_trails_too(self):
         bench = self.playing()
-        bench.executor.limit.trail(2.0)
-        bench.executor.limit.take(0.0, "separation 0.50 m")
+        bench.executor.limit.on_lag(2.0)
+        bench.executor.limit.set_fraction(0.0, "separation 0.50 m")
         while not bench.executor.limit.standing:
             bench.step()
         assert bench.executor.reason == "stands still on the path, goes on by itself: separation 0.50 m"
-        bench.executor.limit.take(1.0, "")
+        bench.executor.limit.set_fraction(1.0, "")
         assert bench.executor.reason.startswith("waits on the path until the arm has caught up")
 
     @given(st.floats(), st.floats())
@@ -249,29 +249,29 @@ class TestWords:
         assume(not 0.0 <= unknown < math.inf)
         bench = self.playing()
         for waits in (False, True):
-            bench.executor.limit.trail(unknown, servo_lag)
+            bench.executor.limit.on_lag(unknown, servo_lag)
             assert bench.executor.limit.waits is waits and bench.executor.limit.lag == 0.0
-            bench.executor.limit.trail(1.0)
-        bench.executor.limit.trail(unknown, servo_lag)
+            bench.executor.limit.on_lag(1.0)
+        bench.executor.limit.on_lag(unknown, servo_lag)
         assert bench.executor.limit.waits
-        bench.executor.limit.trail(0.4, math.nan)
+        bench.executor.limit.on_lag(0.4, math.nan)
         assert not bench.executor.limit.waits
 
     def test_a_new_session_waits_for_no_arm_of_the_one_before(self):
         bench = self.playing()
-        bench.executor.limit.trail(2.0)
+        bench.executor.limit.on_lag(2.0)
         bench.executor.restart("new session", bench.stamp)
         assert not bench.executor.limit.waits
 
     def test_it_stops_while_it_waits_and_says_that_the_arm_is_not_there_yet(self):
         bench = self.playing()
-        bench.executor.limit.trail(2.0)
+        bench.executor.limit.on_lag(2.0)
         bench.run(1)
         told = "braking plan p; the arm trails by much, and goes on until it is there"
         assert bench.executor.stop(bench.stamp) == told
         assert bench.run_until_idle()[-1] != GOAL and bench.executor.outcome == "stopped"
         bench = self.playing()
-        bench.executor.limit.trail(2.0)
+        bench.executor.limit.on_lag(2.0)
         while not bench.executor.limit.standing:
             bench.step()
         before = bench.step()
@@ -282,7 +282,7 @@ class TestWords:
 
     def test_of_an_arm_that_trails_by_more_than_is_remembered_no_way_is_forecast(self):
         bench = self.playing()
-        bench.executor.limit.trail(60.0)
+        bench.executor.limit.on_lag(60.0)
         bench.run(HISTORY + 250)
         bench.executor.stop(bench.stamp)
         forecast = bench.executor.braking().forecast()
@@ -290,19 +290,19 @@ class TestWords:
 
     def test_it_pauses_and_resumes_while_it_waits(self):
         bench = self.playing()
-        bench.executor.limit.trail(2.0)
+        bench.executor.limit.on_lag(2.0)
         bench.executor.pause(bench.stamp)
         while bench.state is not ExecutorState.PAUSED:
             bench.step()
         bench.executor.resume()
         standing = bench.run(50)
         assert (np.diff(standing, axis=0) == 0.0).all() and bench.state is ExecutorState.PLAYING
-        bench.executor.limit.trail(0.1)
+        bench.executor.limit.on_lag(0.1)
         assert bench.run_until_idle()[-1] == GOAL and within_acceleration(bench.outputs)
 
     def test_other_states_do_not_speak_of_it(self):
         bench = self.playing()
-        bench.executor.limit.take(0.25, "somebody is near")
+        bench.executor.limit.set_fraction(0.25, "somebody is near")
         bench.executor.pause(bench.stamp)
         bench.run(3)
         assert bench.executor.reason == "pause requested"

@@ -11,7 +11,7 @@ from executor_bench import GOAL, ROBOT, SCENE, Bench, between, make_plan, make_w
 
 from construction_twin.core.errors import ExpiredError, RecordError, ReviewError
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.execution.approval import AUTO_APPROVE, SCENE_DELAY, Approval, WithoutPerson
+from construction_twin.execution.approval import AUTO_APPROVE, SCENE_DELAY, Approval, AutoApproval
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.playback import START_TOLERANCE
 from construction_twin.monitor.states import SyncState
@@ -58,7 +58,7 @@ class TestApproval:
         plan = make_plan()
         bench.executor.offer(plan)
         bench.review("p", plan.hash, False, "Ada", "too close to the wall")
-        assert [(v.verdict, v.reason) for v in bench.executor.take_events()] == [("rejected", "too close to the wall")]
+        assert [(v.verdict, v.reason) for v in bench.executor.pop_events()] == [("rejected", "too close to the wall")]
         with pytest.raises(ReviewError, match="was decided already or withdrawn"):
             bench.approve(plan)
         assert set(bench.run(10)) == {ROBOT.home}
@@ -79,14 +79,14 @@ class TestApproval:
     @pytest.mark.parametrize("sync", [state for state in SyncState if state is not SyncState.IN_SYNC])
     def test_only_in_sync(self, bench, sync):
         bench.executor.on_sync(sync, True)
-        bench.approval.look_for_obstacle()
+        bench.approval.update_obstacle()
         assert bench.approval.obstacle == "", "no plan waits"
         with pytest.raises(ReviewError, match=rf"twin and physical arm are not in sync \({sync.name}\)") as refused:
             bench.approve(make_plan())
-        bench.approval.look_for_obstacle()
+        bench.approval.update_obstacle()
         assert bench.approval.obstacle == str(refused.value)
         bench.executor.on_sync(SyncState.IN_SYNC, True)
-        bench.approval.look_for_obstacle()
+        bench.approval.update_obstacle()
         assert bench.approval.obstacle == ""
         bench.review("p", "", True, "Ada")
         assert bench.state is ExecutorState.PLAYING
@@ -193,7 +193,7 @@ class TestRecordFirst:
         approval.review("q", plans["q"].hash, True, "Ada")
         bench.run_until_idle()
         bench.executor.offer(make_plan("r", reach(start=bench.twin, goal=ROBOT.home), asked_ns=bench.stamp))
-        assert approval.approve_by_itself(bench.stamp)
+        assert approval.approve_automatically(bench.stamp)
         assert written == [("refused", 0), ("approved", 0), ("approved", 0)]
 
     def test_a_rejection_waits_for_no_record(self, bench):
@@ -202,7 +202,7 @@ class TestRecordFirst:
         bench.record = self.refuse
         assert bench.review("p", plan.hash, False, "Ada") == "plan p rejected by Ada"
         assert bench.executor.under_review.plan is None
-        assert [event.verdict for event in bench.executor.take_events()] == ["rejected"]
+        assert [event.verdict for event in bench.executor.pop_events()] == ["rejected"]
 
     def test_a_rejection_while_an_approval_is_written_down_is_carried_out_at_once(self, bench):
         plan = make_plan()
@@ -252,7 +252,7 @@ class TestRecordFirst:
         bench.executor.offer(make_plan())
         bench.record = self.refuse
         with pytest.raises(RecordError):
-            bench.approval.approve_by_itself(bench.stamp)
+            bench.approval.approve_automatically(bench.stamp)
         assert bench.executor.under_review.plan is None
         assert set(bench.run(100)) == {ROBOT.home}
 
@@ -320,7 +320,7 @@ class TestAge:
     @pytest.mark.parametrize("work", [False, True])
     def test_what_an_arm_that_trails_kept_from_beginning_never_begins_by_itself(self, bench, work):
         bench.with_tool()
-        bench.executor.limit.trail(2.0)
+        bench.executor.limit.on_lag(2.0)
         bench.play(make_work_plan() if work else make_plan(), SECOND * 34 // 10)
         assert bench.state is ExecutorState.IDLE and bench.executor.outcome == "stopped"
         assert "not begun, waits on the path until the arm has caught up" in bench.executor.reason
@@ -330,7 +330,7 @@ class TestAge:
     def test_what_a_speed_limit_kept_from_moving_never_begins_by_itself(self, bench, work, limit):
         plan = make_work_plan() if work else make_plan()
         bench.with_tool()
-        bench.executor.limit.take(limit, "speed limit 0 by /scanner: somebody is near")
+        bench.executor.limit.set_fraction(limit, "speed limit 0 by /scanner: somebody is near")
         bench.play(plan, SECOND * 29 // 10)
         assert bench.state is ExecutorState.PLAYING
         bench.run(SECOND // 2)
@@ -338,16 +338,16 @@ class TestAge:
         assert "not begun, speed limit 0 by /scanner: somebody is near: an approval is void after 3 s" in (
             bench.executor.reason
         )
-        bench.executor.limit.take(1.0)
+        bench.executor.limit.set_fraction(1.0)
         bench.run(SECOND)
         assert np.abs(np.array(bench.outputs[3:]) - ROBOT.home).max() < START_TOLERANCE
 
     @pytest.mark.parametrize("limit", [0.005, 0.02])
     def test_what_moves_slowly_goes_on(self, bench, limit):
-        bench.executor.limit.take(limit, "somebody is near")
+        bench.executor.limit.set_fraction(limit, "somebody is near")
         bench.play(make_plan(), 4 * SECOND)
         assert bench.state is ExecutorState.PLAYING
-        bench.executor.limit.take(1.0)
+        bench.executor.limit.set_fraction(1.0)
         bench.run_until_idle()
         assert bench.executor.outcome == "finished"
 
@@ -376,22 +376,22 @@ class TestAge:
         assert bench.state is ExecutorState.PLAYING
 
     def test_what_has_begun_to_move_within_its_time_goes_on_after_it(self, bench):
-        bench.executor.limit.take(0.0, "somebody is near")
+        bench.executor.limit.set_fraction(0.0, "somebody is near")
         bench.play(make_plan(), SECOND * 29 // 10)
-        bench.executor.limit.take(1.0)
+        bench.executor.limit.set_fraction(1.0)
         bench.run(10)
-        bench.executor.limit.take(0.0, "somebody is near")
+        bench.executor.limit.set_fraction(0.0, "somebody is near")
         bench.run(5 * SECOND)
         assert bench.state is ExecutorState.PLAYING and bench.executor.limit.standing
-        bench.executor.limit.take(1.0)
+        bench.executor.limit.set_fraction(1.0)
         bench.run_until_idle()
         assert bench.executor.outcome == "finished"
 
     def test_nothing_is_approved_by_itself_long_after_it_could(self, bench):
         bench.executor.offer(make_plan())
         self.slow(bench, 120.0)
-        assert bench.approval.approve_by_itself(bench.stamp) is None
-        (event,) = bench.executor.take_events()
+        assert bench.approval.approve_automatically(bench.stamp) is None
+        (event,) = bench.executor.pop_events()
         assert event.verdict == "withdrawn" and "too old" in event.reason and bench.state is ExecutorState.IDLE
 
 
@@ -415,7 +415,7 @@ class TestScene:
         plan = make_plan()
         bench.executor.offer(plan)
         bench.executor.on_scene("0ther")
-        (event,) = bench.executor.take_events()
+        (event,) = bench.executor.pop_events()
         assert (event.verdict, event.plan, event.reviewer) == ("withdrawn", plan, "executor")
         assert event.reason == "the scene changed from 5ce0e to 0ther; plan again"
         bench.executor.on_scene(SCENE)
@@ -425,7 +425,7 @@ class TestScene:
     def test_not_while_nobody_tells_of_the_scene(self, bench):
         bench.executor.offer(make_plan())
         bench.executor.under_review.scene_alive = False
-        assert bench.approval.approve_by_itself(bench.stamp) is None
+        assert bench.approval.approve_automatically(bench.stamp) is None
         with pytest.raises(ReviewError, match="plan p cannot be approved: the scene is not published"):
             bench.review("p", "", True, "Ada")
         bench.executor.under_review.scene_alive = True
@@ -481,52 +481,52 @@ class TestWithdrawn:
     def test_a_plan_that_leaves_the_desk_by_itself_is_reported(self, bench, action, reason):
         bench.executor.offer(make_plan())
         action(bench)
-        (event,) = bench.executor.take_events()
+        (event,) = bench.executor.pop_events()
         assert (event.plan_id, event.verdict, event.reason) == ("p", "withdrawn", reason)
-        assert bench.executor.take_events() == []
+        assert bench.executor.pop_events() == []
 
 
 class TestAutoApprove:
     def test_plays_by_itself_and_leaves_a_verdict(self, bench):
         bench.executor.offer(make_plan())
-        verdict = bench.approval.approve_by_itself(bench.stamp)
+        verdict = bench.approval.approve_automatically(bench.stamp)
         assert bench.state is ExecutorState.PLAYING and bench.records == [verdict]
         assert (verdict.verdict, verdict.reviewer) == ("approved", AUTO_APPROVE)
-        assert bench.approval.approve_by_itself(bench.stamp) is None
+        assert bench.approval.approve_automatically(bench.stamp) is None
 
     def test_waits_until_in_sync(self, bench):
         bench.executor.on_sync(SyncState.HOLDING, False)
         bench.executor.offer(make_plan())
-        assert bench.approval.approve_by_itself(bench.stamp) is None
+        assert bench.approval.approve_automatically(bench.stamp) is None
         bench.executor.on_sync(SyncState.IN_SYNC, True)
-        assert bench.approval.approve_by_itself(bench.stamp) is not None
+        assert bench.approval.approve_automatically(bench.stamp) is not None
 
     def test_drops_a_plan_from_another_pose_and_says_why_once(self, bench):
         bench.executor.offer(make_plan(motion=reach(start=GOAL, goal=ROBOT.home)))
         for _ in range(3):
-            assert bench.approval.approve_by_itself(bench.stamp) is None
+            assert bench.approval.approve_automatically(bench.stamp) is None
         assert [record.verdict for record in bench.records] == ["refused"]
-        (event,) = bench.executor.take_events()
+        (event,) = bench.executor.pop_events()
         assert event.verdict == "withdrawn" and "from the present pose" in event.reason
         assert set(bench.run(100)) == {ROBOT.home}
 
     def test_waits_a_moment_for_the_scene_that_the_plan_was_made_for(self, bench):
         bench.executor.offer(make_plan(scene="n3w"))
-        assert bench.approval.approve_by_itself(0) is None
-        assert bench.approval.approve_by_itself(SCENE_DELAY) is None
+        assert bench.approval.approve_automatically(0) is None
+        assert bench.approval.approve_automatically(SCENE_DELAY) is None
         bench.executor.on_scene("n3w")
-        assert bench.approval.approve_by_itself(SCENE_DELAY) is not None
+        assert bench.approval.approve_automatically(SCENE_DELAY) is not None
 
     def test_drops_a_plan_whose_scene_never_comes(self, bench):
         bench.executor.offer(make_plan(scene="n3w"))
-        assert bench.approval.approve_by_itself(0) is None
-        assert bench.approval.approve_by_itself(SCENE_DELAY + 1) is None
-        assert "made for scene n3w" in bench.executor.take_events()[0].reason
+        assert bench.approval.approve_automatically(0) is None
+        assert bench.approval.approve_automatically(SCENE_DELAY + 1) is None
+        assert "made for scene n3w" in bench.executor.pop_events()[0].reason
         assert bench.executor.under_review.plan is None
 
 
 class TestAutoApproveSources:
-    TRUSTED = WithoutPerson(sources=("/move_group", "our own program"))
+    TRUSTED = AutoApproval(sources=("/move_group", "our own program"))
 
     @pytest.mark.parametrize(
         ("source", "named"),
@@ -534,7 +534,7 @@ class TestAutoApproveSources:
     )
     def test_plans_of_a_named_client_need_no_person_and_the_record_says_why(self, bench, source, named):
         bench.executor.offer(replace(make_plan(), source=source))
-        verdict = bench.approval.approve_by_itself(bench.stamp, self.TRUSTED)
+        verdict = bench.approval.approve_automatically(bench.stamp, self.TRUSTED)
         assert bench.state is ExecutorState.PLAYING and bench.records == [verdict]
         assert (verdict.reviewer, verdict.reason) == (
             AUTO_APPROVE,
@@ -547,8 +547,8 @@ class TestAutoApproveSources:
     )
     def test_all_others_wait_for_a_person(self, bench, source):
         bench.executor.offer(replace(make_plan(), source=source))
-        assert bench.approval.approve_by_itself(bench.stamp, self.TRUSTED) is None
-        assert bench.approval.approve_by_itself(bench.stamp, WithoutPerson()) is None
+        assert bench.approval.approve_automatically(bench.stamp, self.TRUSTED) is None
+        assert bench.approval.approve_automatically(bench.stamp, AutoApproval()) is None
         assert (
             bench.state is ExecutorState.IDLE and bench.executor.under_review.plan is not None and bench.records == []
         )

@@ -131,10 +131,10 @@ class TestHeld:
 
     @pytest.mark.parametrize("limit", [0.0, 1e-3])
     def test_what_was_held_before_it_moved_does_not_begin_when_its_approval_is_void(self, bench, limit):
-        bench.executor.limit.take(limit, "somebody is near")
+        bench.executor.limit.set_fraction(limit, "somebody is near")
         last = hold(bench, 10)
         assert bench.state is HELD
-        bench.executor.limit.take(1.0)
+        bench.executor.limit.set_fraction(1.0)
         bench.run(round(3.0 / CYCLE))
         assert bench.state is not HELD and bench.executor.outcome == "stopped"
         assert "not begun, the gate holds (HOLDING): an approval is void after 3 s" in bench.executor.reason
@@ -298,7 +298,7 @@ def act(bench: HoldBench, action) -> None:
         except ExecutionError:
             assert bench.state is not PLAYING
     elif isinstance(action, float):
-        bench.executor.limit.take(action, "test")
+        bench.executor.limit.set_fraction(action, "test")
 
 
 def play_with(bench: HoldBench, actions) -> None:
@@ -308,7 +308,7 @@ def play_with(bench: HoldBench, actions) -> None:
         before, opened = bench.twin, bench.open
         bench.run(cycles)
         assert opened or bench.twin == before
-    bench.executor.limit.take(1.0)
+    bench.executor.limit.set_fraction(1.0)
     for _ in range(20_000):
         if bench.state is IDLE:
             return

@@ -11,7 +11,7 @@ from construction_twin.core.errors import ReviewError
 from construction_twin.core.units import CYCLE_NS
 from construction_twin.execution.approval import VERDICT_TIMEOUT, ConflictVerdicts
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.review.plan_under_review import Ending
+from construction_twin.review.plan_under_review import ExecutionEnd
 
 PROBLEM = "link_3 would come too close to b/link_5 in 1.2 s, which stands there"
 
@@ -43,8 +43,8 @@ class Beside(Bench):
     def approve(self) -> str:
         return self.approval.review(self.plan.id, self.plan.hash, True, "tester").answer
 
-    def ending(self) -> Ending:
-        return next(event for event in self.executor.take_events() if isinstance(event, Ending))
+    def ending(self) -> ExecutionEnd:
+        return next(event for event in self.executor.pop_events() if isinstance(event, ExecutionEnd))
 
 
 def test_a_free_way_is_played_to_its_end():
@@ -75,10 +75,10 @@ def test_nobody_who_looks_is_no_free_way():
 def test_auto_approve_waits_until_the_way_is_free():
     bench = Beside().offered()
     bench.say(PROBLEM)
-    assert bench.approval.approve_by_itself(bench.stamp) is None
+    assert bench.approval.approve_automatically(bench.stamp) is None
     assert bench.executor.under_review.plan is bench.plan
     bench.say("")
-    assert bench.approval.approve_by_itself(bench.stamp) is not None
+    assert bench.approval.approve_automatically(bench.stamp) is not None
 
 
 @settings(max_examples=10, deadline=None)

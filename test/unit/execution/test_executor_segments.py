@@ -71,7 +71,7 @@ class TestPlayedThrough:
     @pytest.mark.parametrize("fraction", [0.3, 0.77])
     def test_under_a_speed_limit_it_rests_exactly_at_each_end(self, bench, fraction):
         plan = make_work_plan()
-        bench.executor.limit.take(fraction)
+        bench.executor.limit.set_fraction(fraction)
         bench.approve(plan)
         for number in range(4):
             bench.run_to_end_of(number)
@@ -242,8 +242,11 @@ class TestBoundary:
     @pytest.mark.parametrize(
         "stands, goes_on",
         [
-            (lambda executor: executor.limit.take(0.0, "somebody is near"), lambda executor: executor.limit.take(1.0)),
-            (lambda executor: executor.limit.trail(2.0), lambda executor: executor.limit.trail(0.1)),
+            (
+                lambda executor: executor.limit.set_fraction(0.0, "somebody is near"),
+                lambda executor: executor.limit.set_fraction(1.0),
+            ),
+            (lambda executor: executor.limit.on_lag(2.0), lambda executor: executor.limit.on_lag(0.1)),
         ],
         ids=["speed limit of 0", "arm that trails"],
     )
@@ -261,10 +264,10 @@ class TestBoundary:
         bench.approve(make_work_plan())
         bench.run_to_end_of(1)
         bench.run(3)
-        bench.executor.limit.take(0.0, "somebody is near")
+        bench.executor.limit.set_fraction(0.0, "somebody is near")
         bench.run(1500)
         assert bench.tool.fired == [] and bench.state is ExecutorState.AT_BOUNDARY
-        bench.executor.limit.take(1.0)
+        bench.executor.limit.set_fraction(1.0)
         bench.run_into(2)
         assert [order.id for order in bench.tool.orders] == ["w/1/0/1", "", "w/1/0/2"]
         assert bench.tool.fired == [("vacuum", True)]
@@ -577,9 +580,9 @@ EVENTS = {
     "lost": lambda bench: setattr(bench.tool, "inputs", {"gripped": False}),
     "broken": lambda bench: setattr(bench.tool, "works", False),
     "unknown": lambda bench: setattr(bench.tool, "known", False),
-    "slow": lambda bench: bench.executor.limit.take(0.3),
-    "still": lambda bench: bench.executor.limit.take(0.0),
-    "fast": lambda bench: bench.executor.limit.take(1.0),
+    "slow": lambda bench: bench.executor.limit.set_fraction(0.3),
+    "still": lambda bench: bench.executor.limit.set_fraction(0.0),
+    "fast": lambda bench: bench.executor.limit.set_fraction(1.0),
 }
 #: Most of what happens is that time passes.
 HAPPENINGS = st.lists(st.tuples(st.integers(0, 260), st.sampled_from(sorted(EVENTS))), min_size=1, max_size=12)
@@ -619,7 +622,7 @@ def test_whatever_happens_no_switch_fires_twice_and_no_boundary_is_passed_early(
                     continue
                 # entered only with the tool and the scene that it needs
                 segment = plan.segments[number]
-                assert not executor.tool.problem(segment.requires) and executor.under_review.scene == segment.scene
+                assert not executor.tool.mismatch(segment.requires) and executor.under_review.scene == segment.scene
         EVENTS[name](bench)
     counted = [value for _, value in bench.tool.fired]
     assert counted in ([], [True], [True, False])
@@ -642,5 +645,5 @@ def test_a_dropped_work_plan_withdraws_what_was_waiting_when_the_arm_is_engaged(
     bench.run_into(2)
     bench.executor.offer(make_plan("waiting", scene=LATER[0]))
     bench.executor.on_sync(SyncState.HOLDING, False)
-    (verdict,) = [event for event in bench.executor.take_events() if isinstance(event, Verdict)]
+    (verdict,) = [event for event in bench.executor.pop_events() if isinstance(event, Verdict)]
     assert verdict.plan_id == "waiting" and "plan_way_back" in verdict.reason

@@ -53,9 +53,9 @@ def test_ways_there_and_back_add_up():
 def test_the_motion_after_a_stop_is_the_stated_one(seed, waypoints, span, fraction, rate, lag):
     motion = limited_motion(np.random.default_rng(seed), waypoints, span)
     bench = Bench().ready()
-    bench.executor.limit.take(rate)
+    bench.executor.limit.set_fraction(rate)
     bench.play(make_plan(motion=motion), 1 + int(fraction * motion.duration / CYCLE))
-    bench.executor.limit.trail(lag)
+    bench.executor.limit.on_lag(lag)
     if bench.state is not ExecutorState.PLAYING:
         return
     bench.executor.stop(bench.stamp)
@@ -74,7 +74,7 @@ def test_looking_ahead_changes_nothing():
     with_it, without = Bench().ready(), Bench().ready()
     for bench in (with_it, without):
         bench.play(make_plan(), 250)
-        bench.executor.limit.take(0.5)
+        bench.executor.limit.set_fraction(0.5)
         bench.run(5)
         bench.executor.stop(bench.stamp)
         if bench is with_it:
@@ -86,7 +86,7 @@ def test_looking_ahead_changes_nothing():
 def test_looking_ahead_pauses_again_and_again_for_those_who_wait():
     bench = Bench().ready()
     bench.play(make_plan(), 250)
-    bench.executor.limit.trail(0.2)
+    bench.executor.limit.on_lag(0.2)
     bench.executor.stop(bench.stamp)
     pauses = []
     forecast = bench.executor.braking().forecast(lambda: pauses.append(1))
@@ -109,7 +109,7 @@ def test_the_reason_tells_what_became_of_it():
     stated = bench.executor.braking().forecast().setpoints.text(ROBOT)
     bench.run_until_idle()
     assert bench.executor.reason == f"stop requested; at rest after {stated}"
-    assert bench.executor.take_events()[0].reason == bench.executor.reason
+    assert bench.executor.pop_events()[0].reason == bench.executor.reason
 
 
 def test_a_stop_that_is_held_goes_no_further_than_stated():

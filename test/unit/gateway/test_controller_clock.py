@@ -26,7 +26,7 @@ def judged(telegrams, cycle_ms=4):
     """Return the first thing that a clock says of (IPOC [ms], arrival [ms]), and after how many telegrams; None when nothing."""
     clock = ControllerClock(RSI, cycle_ms)
     for count, (ipoc, arrived) in enumerate(telegrams, 1):
-        clock.note(ipoc, round(arrived * MS))
+        clock.on_telegram(ipoc, round(arrived * MS))
         said = clock.judge()
         if said is not None:
             return said, count
@@ -102,12 +102,12 @@ def test_nor_do_they_hide_one(seed):
 def test_another_session_is_measured_anew():
     clock = ControllerClock(RSI, 4)
     for ipoc, at in regular(12, 12.0, 90):
-        clock.note(ipoc, round(at * MS))
+        clock.on_telegram(ipoc, round(at * MS))
     # RSI was started again, with a count of its own
     for ipoc, at in regular(4, 4.0, FIRST // 4 - 1, first=5000):
-        clock.note(ipoc, round(at * MS))
+        clock.on_telegram(ipoc, round(at * MS))
         assert clock.judge() is None
-    clock.note(5000 + FIRST - 4, (FIRST - 4) * MS)
+    clock.on_telegram(5000 + FIRST - 4, (FIRST - 4) * MS)
     assert clock.judge() == ""
 
 
@@ -115,14 +115,14 @@ def test_another_session_is_measured_anew():
 def test_a_change_of_the_cycle_within_a_session_is_seen_in_a_few_telegrams(expected, other, needed):
     clock = ControllerClock(RSI, expected)
     for ipoc, at in regular(expected, float(expected), 500):
-        clock.note(ipoc, round(at * MS))
+        clock.on_telegram(ipoc, round(at * MS))
     assert clock.judge() == "" and not clock.changed
     # RSI was off for 100 ms
     last = ipoc + 100
-    clock.note(last, round((at + 100.0) * MS))
+    clock.on_telegram(last, round((at + 100.0) * MS))
     for k in range(1, needed + 1):
         assert not clock.changed
-        clock.note(last + k * other, round((at + 100.0 + k * other) * MS))
+        clock.on_telegram(last + k * other, round((at + 100.0 + k * other) * MS))
     assert clock.changed.startswith(
         f"the controller's cycle is {other} ms (IPOC steps of {other}); expected {expected} ms"
     )
@@ -148,7 +148,7 @@ def test_losses_pauses_and_swapped_telegrams_never_look_like_a_change_of_the_cyc
     for telegrams in (troubled(seed, cycle_ms, seconds=25), bursts(seed, cycle_ms)):
         clock = ControllerClock(RSI, cycle_ms)
         for ipoc, arrived in telegrams:
-            clock.note(ipoc, round(arrived * MS))
+            clock.on_telegram(ipoc, round(arrived * MS))
             assert not clock.changed
 
 
@@ -243,7 +243,7 @@ def test_an_arm_that_is_commanded_brakes_when_the_cycle_changes(cycle, other, sa
             cell.send(START)
         cell.cycle(step_ms=other)
     assert cell.state is State.BRAKING and cell.gateway.reason.startswith(f"cycle: {said}")
-    assert (cell.gateway.fault, cell.gateway.session, cell.count("stops_cycle")) == (True, "", 1)
+    assert (cell.gateway.fault, cell.gateway.command_session, cell.count("stops_cycle")) == (True, "", 1)
     cell.cycle(20, step_ms=other)
     assert cell.state is State.HOLDING and cell.gateway.status()["stop"]["cause"] == "cycle"
     # a reset leads to no armed session as long as the cycle is the other one
@@ -267,16 +267,16 @@ def test_of_a_controller_that_takes_no_corrections_the_sentence_goes_with_its_cl
     cell.cycle(FIRST // 4 + 1)
     plain = cell.gateway.reason
     assert "the controller's cycle is" not in plain
-    cell.gateway.take_change()
+    cell.gateway.pop_change()
     # the program begins RSI anew in the other mode
     cell.cycle(1200, step_ms=12)
-    assert f"; {TWELVE}" in cell.gateway.reason and cell.gateway.take_change()
+    assert f"; {TWELVE}" in cell.gateway.reason and cell.gateway.pop_change()
     cell.cycle(1200, step_ms=12)
-    assert not cell.gateway.take_change()
+    assert not cell.gateway.pop_change()
     cell.cycle(1200)
-    assert cell.state is State.READ_ONLY and cell.gateway.reason == plain and cell.gateway.take_change()
+    assert cell.state is State.READ_ONLY and cell.gateway.reason == plain and cell.gateway.pop_change()
     cell.cycle(1200)
-    assert not cell.gateway.take_change()
+    assert not cell.gateway.pop_change()
 
 
 @pytest.mark.parametrize("gap_ms", [4, 16, 60])

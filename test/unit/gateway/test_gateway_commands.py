@@ -374,7 +374,7 @@ def limit_speed(cell):
 
 
 def stray_datagram(cell):
-    cell.gateway.refusals.telegram("source", "a datagram from 10.0.0.9:1 while another sender's session is alive")
+    cell.gateway.refusals.count_telegram("source", "a datagram from 10.0.0.9:1 while another sender's session is alive")
 
 
 @pytest.mark.parametrize(

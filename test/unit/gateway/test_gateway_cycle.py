@@ -122,14 +122,14 @@ def test_jitter_between_telegrams_makes_the_delay_no_longer_than_it_must_be():
             playout.advance(12_000_000)
             assert playout.silence == 0
     assert playout.delay == 20_000_000
-    assert playout.report()["lead_ms"] == pytest.approx(16.0, abs=4.0)
+    assert playout.status_fields()["lead_ms"] == pytest.approx(16.0, abs=4.0)
 
 
 def test_the_last_resort_brakes_per_cycle_of_12_ms():
     config = Cell(cycle=12).config
     resort = config.make.last_resort(config)
-    resort.sent(1012, "controller", (0.012, 0.0), (0.0, 0.0), 0)
-    resort.take_over()
+    resort.on_reply_sent(1012, "controller", (0.012, 0.0), (0.0, 0.0), 0)
+    resort.begin()
     last, step = 0.012, 0.012
     for k in range(1, 40):
         assert resort.answer(1012 + 12 * k) is not None

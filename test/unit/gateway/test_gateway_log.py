@@ -8,16 +8,16 @@ from types import SimpleNamespace
 from service_cell import cell
 
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.gateway.mqtt_side import QUIET, MqttSide
+from construction_twin.gateway.mqtt_connection import QUIET, MqttConnection
 
 
 def test_a_status_waits_for_an_answer_while_telegrams_come_and_for_nothing_without_a_controller():
     second = NANOSECONDS
-    side = SimpleNamespace(now=10 * second, _due_at=0, _heard_at=0)
+    side = SimpleNamespace(now=10 * second, _due_at=0, _received_at=0)
 
     def is_due(at, answered):
         side.now = round(at * second)
-        return MqttSide.is_status_due(side, answered)
+        return MqttConnection.is_status_due(side, answered)
 
     assert is_due(10.0, False)
     side._due_at = 11 * second

@@ -105,13 +105,13 @@ def test_onlysend_wins_over_commissioning():
 
 def test_end_brakes_first_and_asks_for_the_stop_only_at_rest():
     cell = following(layout=WITH_STOP)
-    assert not cell.gateway.ends
+    assert not cell.gateway.ends_program
     ok, said = cell.control("end")
     assert ok and "at rest" in said
     asked = []
     for _ in range(300):
         cell.cycle()
-        asked.append((cell.gateway.ends, cell.state))
+        asked.append((cell.gateway.ends_program, cell.state))
     assert asked[0] == (False, State.BRAKING)
     assert asked[-1] == (True, State.HOLDING)
     assert all(state is State.HOLDING for ends, state in asked if ends)
@@ -123,10 +123,10 @@ def test_after_the_end_a_new_session_carries_no_stop_and_needs_a_reset():
     cell.cycle(3)
     cell.control("end")
     cell.cycle(3)
-    assert cell.gateway.ends
+    assert cell.gateway.ends_program
     gap(cell)
     cell.cycle(3)
-    assert cell.state is State.READY and not cell.gateway.ends
+    assert cell.state is State.READY and not cell.gateway.ends_program
     assert not cell.arm()[0]
     assert cell.control("reset")[0] and cell.arm()[0]
 
@@ -186,7 +186,9 @@ class TrackCell(Cell):
                 return
             telegram = self.decoder.parse(packet)
             reply = self.gateway.on_telegram(telegram, self.source, self.now)
-            self.bytes.append(self.encoder.encode(reply, telegram.controller_ms, True if self.gateway.ends else None))
+            self.bytes.append(
+                self.encoder.encode(reply, telegram.controller_ms, True if self.gateway.ends_program else None)
+            )
             self.mock.receive(self.bytes[-1])
 
 

@@ -55,7 +55,7 @@ class TestSwitchedOffAndOn:
         cell = following()
         assert math.degrees(cell.replies[-1][0]) > 0.1
         assert switch_on_anew(cell) == (0.0, 0.0)
-        assert cell.state is State.READY and cell.gateway.session == ""
+        assert cell.state is State.READY and cell.gateway.command_session == ""
 
     def test_a_program_that_moves_the_arm_under_a_correction_is_none(self):
         cell = displaced()

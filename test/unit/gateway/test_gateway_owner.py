@@ -40,7 +40,7 @@ def test_a_second_commander_is_refused_reported_and_disturbs_nothing():
         cell.send(slow(k))
         cell.gateway.on_command(cell.codec.encode(START), CommandProperties("another", 9000 + k, cell.stamp), cell.now)
         cell.cycle()
-    assert (cell.state, cell.gateway.session) == (State.FOLLOWING, "s1")
+    assert (cell.state, cell.gateway.command_session) == (State.FOLLOWING, "s1")
     assert cell.measured[0] == pytest.approx(slow(145)[0], abs=math.radians(0.0006))
     assert (cell.count("refused_session"), cell.count("refused_arm"), cell.count("refused_reset")) == (50, 1, 1)
     assert intruder(cell) == ("another", 51)
@@ -53,7 +53,7 @@ def test_a_second_commander_does_not_reset_an_owner_that_stands_still():
     cell.arm()
     cell.stream([START] * 50)
     assert not cell.control("reset", "other")[0]
-    assert cell.gateway.session == "s1"
+    assert cell.gateway.command_session == "s1"
     # the owner itself may, and anybody may once its stream has ended
     assert cell.control("reset", "s1")[0]
     cell.arm("s2")
@@ -188,4 +188,4 @@ def test_what_is_remembered_of_sessions_is_bounded():
     owners = Ownership()
     for k in range(MEMORY + 1):
         owners.begin(f"s{k}")
-    assert not owners.knows("s0") and owners.knows("s1") and owners.knows(f"s{MEMORY}")
+    assert not owners.has_had_turn("s0") and owners.has_had_turn("s1") and owners.has_had_turn(f"s{MEMORY}")

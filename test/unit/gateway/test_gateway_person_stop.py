@@ -64,9 +64,9 @@ def test_pressing_on_costs_a_count_and_no_answer():
     cell = following()
     assert all(press(cell, id_=str(k)).reason for k in range(ANSWERS))
     before = cell.gateway.status()
-    cell.gateway.take_change()
+    cell.gateway.pop_change()
     assert [press(cell, id_=str(k)).reason for k in range(500)] == [""] * 500
-    assert not cell.gateway.take_change()
+    assert not cell.gateway.pop_change()
     after = cell.gateway.status()
     # a reset that is under way knows of none of them
     assert after["fault_number"] == before["fault_number"] + 500

@@ -81,7 +81,7 @@ def test_a_hole_longer_than_the_silence_brakes_with_every_delay_and_a_shorter_on
         assert cell.measured[0] == pytest.approx(slow(600 + missing - delay)[0], abs=0.02)
         return
     assert cell.state in (State.BRAKING, State.HOLDING)
-    assert (cell.count("stops_silence"), cell.gateway.session) == (1, "")
+    assert (cell.count("stops_silence"), cell.gateway.command_session) == (1, "")
     assert cell.gateway.reason.startswith("silence: ") and not cell.gateway.status()["fault"]
     before = cell.measured[0]
     for _ in range(200):

@@ -304,20 +304,20 @@ def test_a_paho_that_was_not_tested_is_refused_in_one_sentence(config_file):
 _BROKEN = {
     "loop": "service.Gateway.poll = broken",
     "log's thread": "logging.handlers.QueueListener.handle = broken",
-    "connecting thread": "mqtt_side.PolledClient._try_connect = broken",
+    "connecting thread": "mqtt_connection.PolledClient._try_connect = broken",
 }
 
 
 @pytest.mark.parametrize("part", _BROKEN)
 def test_a_program_that_has_failed_holds_on_and_says_so(broker, topics, config_file, part):
     code = (
-        "import logging.handlers, sys; from construction_twin.gateway import command_line, mqtt_side, service\n"
+        "import logging.handlers, sys; from construction_twin.gateway import command_line, mqtt_connection, service\n"
         "calls = []\n"
         "def broken(self, *arguments):\n"
         "    calls.append(self)\n"
         "    if len(calls) == 1: raise ZeroDivisionError('injected')\n"
         "    if ORIGINAL is not None: ORIGINAL(self, *arguments)\n"
-        "ORIGINAL = getattr(mqtt_side.PolledClient, '_try_connect') if CONNECTS else None\n".replace(
+        "ORIGINAL = getattr(mqtt_connection.PolledClient, '_try_connect') if CONNECTS else None\n".replace(
             "CONNECTS", str(part == "connecting thread")
         )
         + _BROKEN[part]

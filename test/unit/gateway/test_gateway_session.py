@@ -119,7 +119,7 @@ def test_a_new_session_captures_its_own_origin_and_disarms(event, counter):
     event(cell)
     assert cell.cycle() == (0.0, 0.0)
     assert cell.state is State.READY
-    assert cell.gateway.session == ""
+    assert cell.gateway.command_session == ""
     assert cell.count("rsi_sessions") == 2
     assert counter is None or cell.count(counter) == 1
     cell.send(slow(100))
@@ -269,7 +269,7 @@ def test_arming_twice_for_the_same_session_is_no_fault_and_for_another_is_refuse
     cell = following()
     assert cell.arm() == (True, "already armed for this session")
     assert not cell.arm("s2")[0]
-    assert (cell.state, cell.gateway.session) == (State.FOLLOWING, "s1")
+    assert (cell.state, cell.gateway.command_session) == (State.FOLLOWING, "s1")
 
 
 @pytest.mark.parametrize("verb", ["", "ARM", "move", "__init__"])

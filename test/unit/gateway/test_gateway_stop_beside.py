@@ -37,7 +37,7 @@ def stop(gateway_cell: Cell, way: str) -> tuple[bool, str]:
     [
         (StopReport, "begin", WAYS),
         (StopReport, "advance", WAYS),
-        (SenderLimits, "take", ("account",)),
+        (SenderLimits, "admit", ("account",)),
         (Ownership, "is_repeated", ("control",)),
     ],
 )
@@ -76,7 +76,7 @@ def failing_log(note):
 @pytest.mark.parametrize(
     "what, owner, name, broken",
     [
-        ("the_log", LineLimiter, "note", failing_log(LineLimiter.note)),
+        ("the_log", LineLimiter, "admit", failing_log(LineLimiter.admit)),
         ("the_way_to_rest", StopReport, "begin", fail),
         ("the_way_to_rest", StopReport, "advance", fail),
     ],
@@ -100,7 +100,7 @@ def test_a_running_gateway_answers_counts_and_says_it(
 
 
 @pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("owner, name", [(Playout, "report"), (Gateway, "status")])
+@pytest.mark.parametrize("owner, name", [(Playout, "status_fields"), (Gateway, "status")])
 def test_a_status_that_cannot_be_made_fails_no_gateway_that_stops(broker, topics, monkeypatch, way, owner, name):
     with cell(broker, topics, config=PATIENT) as (service, controller, client):
         assert client.arm(PATIENT)["ok"]

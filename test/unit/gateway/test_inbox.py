@@ -8,7 +8,7 @@ from collections import deque
 import pytest
 from gateway_cell import CONFIG, RUN, START
 
-from construction_twin.gateway.arm_side import LONGEST_REFUSAL
+from construction_twin.gateway.arm_control import LONGEST_REFUSAL
 from construction_twin.gateway.controller_socket import DRAIN_LIMIT, TelegramInbox
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.states import State
@@ -113,7 +113,7 @@ def test_while_a_controller_is_alive_nobody_else_is_read():
 def told(line, now) -> bool:
     """Let the gateway look at what has come, at `now` [s]; return whether that was news."""
     line.gateway.poll(round(now * 1e9))
-    return line.gateway.take_change()
+    return line.gateway.pop_change()
 
 
 STRANGER = "datagrams from 10.0.0.1 are not read, because --controller is 192.168.1.20"
@@ -148,7 +148,7 @@ def test_a_telegram_that_can_be_read_ends_the_count():
     line.waiting.append((1000, HERE))
     found = line.inbox.newest(10**9)
     line.gateway.on_telegram(found.telegram, found.source, 2 * 10**9)
-    line.gateway.take_change()
+    line.gateway.pop_change()
     line.newest((1004, ("10.0.0.1", 1)))
     assert not told(line, 2.1) and line.gateway.state is State.READY
     assert "refused" not in line.gateway.reason

@@ -132,8 +132,8 @@ def telegram(ipoc):
 @pytest.mark.parametrize("last", [1400, STAMP_WRAP - 4, 2**63 - 4, 2**63, 2**64 - 8])
 def test_the_last_resort_answers_the_same_telegrams(last):
     resort = CONFIG.make.last_resort(CONFIG)
-    resort.sent(last, PEER, (0.004, -0.004), (0.0, 0.0), 0)
-    resort.take_over()
+    resort.on_reply_sent(last, PEER, (0.004, -0.004), (0.0, 0.0), 0)
+    resort.begin()
     following = 0 if last == STAMP_WRAP - 4 else last + 4
     found = resort.stamp_of(telegram(following), PEER)
     assert found == following

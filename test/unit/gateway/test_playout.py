@@ -115,7 +115,7 @@ def test_moving_time_never_skips_a_motion_that_is_still_to_be_played():
         assert before is None or abs(q[0] - before) <= 0.001 * 1.02
         before = q[0]
     assert q == rest
-    assert link.playout.lead(link.playout.newest) == DELAY - CYCLE_NS
+    assert link.playout.lead_time(link.playout.newest) == DELAY - CYCLE_NS
 
 
 class Network:
@@ -168,13 +168,13 @@ def test_drifting_clocks_are_followed_without_a_step_and_without_running_dry(ppm
     stamps, leads = [], []
     for _ in range(250 * 295):
         stamps.append(network.cycle()[0])
-        leads.append(network.playout.lead(network.playout.newest))
+        leads.append(network.playout.lead_time(network.playout.newest))
     assert network.dry == 0
     # the drift alone would have moved it by 30 ms, or by 6 ms
     assert MARGIN - 2 * CYCLE_NS <= min(leads) <= max(leads) <= DELAY + 2 * CYCLE_NS
     change = [abs(b - a) for a, b in zip(rates(stamps), rates(stamps)[1:])]
     assert max(map(abs, rates(stamps))) <= CALM.ahead and max(change) <= CALM_CHANGE + 1e-12
-    assert network.playout.report()["drift_ppm"] == pytest.approx(ppm, abs=1.0)
+    assert network.playout.status_fields()["drift_ppm"] == pytest.approx(ppm, abs=1.0)
     # between two moves it is played on the stamps
     assert sum((stamp - T0) % CYCLE_NS == 0 for stamp in stamps) > 0.9 * len(stamps)
 
@@ -185,11 +185,11 @@ def test_jitter_is_absorbed_by_a_delay_that_is_shown_and_given_back_when_it_ends
     network.run(10.0)
     network.dry = 0
     network.run(20.0)
-    report = network.playout.report()
+    report = network.playout.status_fields()
     assert network.dry == 0
     assert 20.0 <= report["jitter_ms"] <= 24.0 and report["delay_ms"] in (32.0, 36.0)
     network.run(30.0)
-    assert network.playout.report()["delay_ms"] == 20.0
+    assert network.playout.status_fields()["delay_ms"] == 20.0
 
 
 def test_rising_jitter_slows_playout_at_once_and_speeds_it_up_late_and_gently():
@@ -202,12 +202,12 @@ def test_rising_jitter_slows_playout_at_once_and_speeds_it_up_late_and_gently():
     playout, times = network.playout, []
     while network.now < 60 * NANOSECONDS:
         network.cycle()
-        times.append(playout.newest - playout.lead(playout.newest))
+        times.append(playout.newest - playout.lead_time(playout.newest))
         if network.now == 8 * NANOSECONDS:
             # two stalls have taught it, and before the third it has moved
-            assert playout.report()["delay_ms"] == 52.0
+            assert playout.status_fields()["delay_ms"] == 52.0
             network.dry = 0
-    assert network.dry == 0 and playout.report()["delay_ms"] <= 24.0
+    assert network.dry == 0 and playout.status_fields()["delay_ms"] <= 24.0
     stamps = times[10:]
     slowest, fastest = min(rates(stamps)), max(rates(stamps))
     assert -URGENT.back <= slowest < -CALM.back

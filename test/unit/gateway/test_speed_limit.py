@@ -105,23 +105,23 @@ class TestDeadlineAndGrace:
 
     def test_a_lowered_limit_is_enforced_after_the_grace_a_raised_one_at_once(self):
         limit = self.limit()
-        limit.give(0.2, "s", 0)
+        limit.on_limit(0.2, "s", 0)
         limit.poll(499 * MS)
         assert limit.fraction == 1.0
         limit.poll(500 * MS)
         assert limit.fraction == 0.2
-        limit.give(0.6, "s", 500 * MS)
+        limit.on_limit(0.6, "s", 500 * MS)
         limit.poll(501 * MS)
         assert limit.fraction == 0.6
 
     def test_silence_counts_as_the_share_for_silence_once(self):
         limit = self.limit()
-        limit.give(1.0, "s", 0)
+        limit.on_limit(1.0, "s", 0)
         assert not limit.poll(500 * MS)
         assert limit.poll(501 * MS) and not limit.poll(502 * MS)
         limit.poll(1001 * MS)
-        assert (limit.fraction, limit.given, limit.source) == (0.1, 0.1, "silence")
-        assert limit.give(1.0, "s", 2 * SECOND)
+        assert (limit.fraction, limit.requested, limit.source) == (0.1, 0.1, "silence")
+        assert limit.on_limit(1.0, "s", 2 * SECOND)
         assert limit.poll(2 * SECOND) is False and limit.fraction == 1.0
 
     @given(st.lists(st.tuples(st.integers(0, 300), st.floats(0, 1)), min_size=1, max_size=40))
@@ -129,7 +129,7 @@ class TestDeadlineAndGrace:
         limit, now, history = self.limit(), 0, [(-(10**12), 1.0)]
         for wait, fraction in given_limits:
             now += wait * MS
-            limit.give(fraction, "s", now)
+            limit.on_limit(fraction, "s", now)
             history.append((now, fraction))
             limit.poll(now)
             ends = [time for time, _ in history[1:]] + [now]
@@ -277,7 +277,7 @@ class TestPlaying:
 
     def test_a_stop_whose_source_dies_before_the_grace_is_over_still_comes(self):
         limit = EnforcedSpeedLimit(dataclasses.replace(CONFIG, speed_limit_deadline=0.2, speed_limit_grace=0.5))
-        limit.give(0.0, "s", 0)
+        limit.on_limit(0.0, "s", 0)
         fractions = []
         for now in range(0, 2 * SECOND, 100 * MS):
             limit.poll(now)
@@ -334,7 +334,7 @@ def test_whatever_limits_come_and_go_every_cycle_is_inside_the_arm_s_limits(limi
     cycle = 0
     for fraction, length in limits:
         for k in range(length):
-            if k % 25 == 0 and cell.gateway.session:
+            if k % 25 == 0 and cell.gateway.command_session:
                 cell.control("speed_limit", value=fraction)
             cycle += 1
             if cycle in losses:

@@ -22,7 +22,7 @@ def path(tmp_path):
 def kept(path, reason):
     """Keep a reason, as a program that ends then."""
     stops = StopFile(path)
-    stops.keep(reason)
+    stops.save(reason)
     stops.close()
     return stops
 
@@ -38,7 +38,7 @@ def test_a_stop_outlasts_the_program_until_it_was_reset(path):
 def test_it_is_on_the_disk_at_once_and_takes_no_more_room_than_there_was(path):
     stops = StopFile(path)
     assert path.stat().st_size == ROOM
-    stops.keep(STOP + "x" * 5000)
+    stops.save(STOP + "x" * 5000)
     wait_until(lambda: path.read_text().startswith(STOP), what="the stop on the disk")
     assert path.stat().st_size == ROOM
     stops.close()
@@ -54,10 +54,10 @@ def test_nobody_waits_for_a_disk_that_hangs_and_the_newest_counts(path, monkeypa
         return write(file, data)
 
     monkeypatch.setattr(os, "write", slow)
-    stops.keep(STOP)
+    stops.save(STOP)
     assert asked.wait(10.0)
-    stops.keep("")
-    stops.keep("stop: asked for by account bob")
+    stops.save("")
+    stops.save("stop: asked for by account bob")
     hangs.set()
     stops.close()
     assert StopFile(path).found == "stop: asked for by account bob"
@@ -67,7 +67,7 @@ def test_what_could_not_be_written_is_said_and_tried_again(path, monkeypatch, ca
     stops = StopFile(path)
     with monkeypatch.context() as broken:
         broken.setattr(os, "fsync", lambda file: (_ for _ in ()).throw(OSError(5, "Input/output error")))
-        stops.keep(STOP)
+        stops.save(STOP)
         wait_until(lambda: "Input/output error" in caplog.text, what="the sentence")
         path.write_text("")
     wait_until(lambda: path.read_text().strip() == STOP, what="the stop on the disk")
@@ -76,7 +76,7 @@ def test_what_could_not_be_written_is_said_and_tried_again(path, monkeypatch, ca
 
 def test_a_name_that_is_no_text_ends_no_writer(path):
     stops = StopFile(path)
-    stops.keep("stop: asked for by \ud800")
+    stops.save("stop: asked for by \ud800")
     stops.close()
     assert StopFile(path).found == "stop: asked for by ?"
 

@@ -76,7 +76,7 @@ def test_linear_axes_are_told_in_mm_and_rounded_up():
     report = StopReport((False, True))
     stated = (math.radians(1.0000001), 0.0012345678)
     report._braking = SimpleNamespace(distance=stated, time=0.1, moved=(), took=None)
-    assert report.report()["distance_deg"] == [1.000001, 1.234568]
+    assert report.status_fields()["distance_deg"] == [1.000001, 1.234568]
 
 
 def test_a_stop_by_silence_contains_the_braking_before_anybody_called_it_one():

@@ -236,7 +236,7 @@ def test_armed_switches_exist_only_while_a_stream_is_followed_and_final_states_s
             cell.go_on(7)
         elif action == "arm" and cell.state is State.HOLDING:
             cell.follow(10)
-        elif action in ("grip", "release") and cell.gateway.session:
+        elif action in ("grip", "release") and cell.gateway.command_session:
             cell.ask(action == "grip", ahead=12, id=f"s{count}")
         elif action in ("stop", "void"):
             cell.control(action, None, "anybody")
@@ -305,9 +305,9 @@ def test_outputs_that_read_back_as_something_else_are_told():
     cell.tool.outputs["vacuum"] = False
     cell.go_on(round(LONGEST_DIFFERENCE * 250))
     assert cell.status()["reason"] == ""
-    cell.gateway.take_change()
+    cell.gateway.pop_change()
     cell.go_on(2)
-    assert cell.gateway.take_change()
+    assert cell.gateway.pop_change()
     assert cell.status()["reason"] == "vacuum reads back off, commanded on, for more than 0.1 s"
     assert cell.gateway.counters["tool_outputs_differ"] == 1 and cell.status()["known"] is False
     assert cell.status()["outputs"] == {"vacuum": False}
@@ -353,7 +353,9 @@ def test_what_a_missed_reply_switched_off_stays_off_until_it_is_switched_on_anew
         monkeypatch.setattr(cell.gateway, "on_telegram", without_delay(cell.gateway))
     if told_by == "count":
         # a controller whose read-back comes late: only its count of late replies tells it
-        monkeypatch.setattr(cell.gateway.tool, "note", lambda reading, note=cell.gateway.tool.note, on=TRUE: note(on))
+        monkeypatch.setattr(
+            cell.gateway.tool, "on_reading", lambda reading, note=cell.gateway.tool.on_reading, on=TRUE: note(on)
+        )
     which = "answering" if told_by == "gap" else "delivering"
     setattr(cell, which, False)
     cell.go_on(count)
@@ -391,20 +393,20 @@ def pure(count=2):
     layout = dataclasses.replace(LAYOUT, switched=("Enable", *names), switched_holdon=(True, *[False] * count))
     tool = dataclasses.replace(TOOL, outputs=tuple(ToolOutput(name, "off", True) for name in names))
     switches = ToolSwitches(tool, layout, CYCLE_NS, Counter())
-    switches.begin_session()
+    switches.begin_controller_session()
     read(switches, [False] * count)
     return switches
 
 
 def read(switches, outputs, missed=False):
-    switches.note(ToolReading(tuple(outputs), (False,)))
-    switches.hear("", missed)
+    switches.on_reading(ToolReading(tuple(outputs), (False,)))
+    switches.on_telegram("", missed)
     return switches.channels()
 
 
 def fire(switches, output):
     assert switches.arm({"id": output, "output": output, "value": True, "stamp": 5}, 0.01, "") == ""
-    switches.play(5)
+    switches.fire_due(5)
 
 
 def test_a_round_trip_is_waited_for_and_an_output_that_never_comes_on_is_given_up():
@@ -449,7 +451,7 @@ def switches_of_one_tool():
 def test_inputs_that_chatter_are_told_at_most_20_times_a_second():
     tool, told = switches_of_one_tool(), 0
     for cycle in range(1000):
-        tool.note(ToolReading((False,), (cycle % 2 == 0,)))
-        tool.hear()
-        told += tool.take_change()
+        tool.on_reading(ToolReading((False,), (cycle % 2 == 0,)))
+        tool.on_telegram()
+        told += tool.pop_change()
     assert 60 <= told <= 82

@@ -125,5 +125,5 @@ def test_the_axis_may_point_anywhere(axis):
 @given(joints(TRACK))
 @settings(max_examples=50, deadline=None)
 def test_the_arm_reaches_what_it_sees_from_its_carriage(q):
-    seen, reached = CARRIAGE.seen_from(RAIL.chain.forward(q), q[0]), CARRIAGE.arm.forward(q[1:])
+    seen, reached = CARRIAGE.target_from_carriage(RAIL.chain.forward(q), q[0]), CARRIAGE.arm.forward(q[1:])
     np.testing.assert_allclose(seen.matrix(), reached.matrix(), atol=1e-12)

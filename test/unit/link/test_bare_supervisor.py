@@ -122,7 +122,7 @@ def test_a_reset_says_too_why_nothing_could_be_armed(waiting):
     waiting.poll()
     with pytest.raises(ReviewError, match="NAME; now it could not either: the arm's pose is unknown or still chang"):
         waiting.supervisor.request_reset(waiting.now)
-    waiting.say("offline")
+    waiting.publish_word("offline")
     waiting.poll()
     with pytest.raises(ReviewError, match="NAME; now it could not either: the PLC says `offline`"):
         waiting.supervisor.request_reset(waiting.now)
@@ -146,13 +146,13 @@ class TestEnds:
         self.end(armed, LinkState.GATEWAY_OFFLINE)
 
     def test_an_offline_between_two_polls_ends_it_too(self, armed):
-        armed.say("offline")
-        armed.say("ready")
+        armed.publish_word("offline")
+        armed.publish_word("ready")
         self.end(armed, LinkState.NEEDS_RESET)
 
     def test_an_offline_that_a_request_came_across_is_not_forgotten(self, armed):
-        armed.say("offline")
-        armed.say("ready")
+        armed.publish_word("offline")
+        armed.publish_word("ready")
         with pytest.raises(ReviewError):
             armed.supervisor.begin_mirror(armed.now)
         self.end(armed, LinkState.NEEDS_RESET)

@@ -9,7 +9,7 @@ from gateway_cell import following
 from tool_cell import ToolCell
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.sentences import Sentence, told
+from construction_twin.core.sentences import Sentence, templates_of
 from construction_twin.link.gateway_status import GatewayStatus, parse_answer, parse_status
 
 TOOL = {
@@ -29,7 +29,7 @@ def parsed(status: dict) -> GatewayStatus:
 def test_it_shows_what_a_real_gateway_says():
     cell = following()
     cell.arm("other")
-    values = parsed(cell.gateway.status()).shown()
+    values = parsed(cell.gateway.status()).text_values()
     assert values["playout_delay_ms"] == "20" and values["playout_lead_ms"] == "16"
     assert values["playout_drift_ppm"] == "" and values["playout_rate_percent"] == "0"
     assert (values["intruder_session"], values["intruder_count"]) == ("other", "1")
@@ -45,7 +45,7 @@ def test_status_and_answer_are_read_and_an_older_gateway_s_says_nothing():
     assert STATUS.items() <= parsed(STATUS).model_dump(exclude_unset=True).items()
     answer = parse_answer(b'{"id": "1", "ok": true}')
     assert (answer.id, answer.ok, answer.reason) == ("1", True, "")
-    assert parsed({"state": "ready"}).shown() == {}
+    assert parsed({"state": "ready"}).text_values() == {}
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_a_status_that_is_no_json_object_is_refused(payload):
 
 
 def test_long_texts_are_cut():
-    assert len(parsed({"last_refusal": "x" * 10_000}).shown()["last_refusal"]) == 300
+    assert len(parsed({"last_refusal": "x" * 10_000}).text_values()["last_refusal"]) == 300
 
 
 def test_what_it_says_can_be_said_in_another_language():
@@ -132,7 +132,7 @@ def test_sentences_in_each_other_and_lists_in_lists_are_read_without_end():
     said = {"a" * k: {"template": "a{x}", "values": {"x": "a" * (k - 1)}} for k in range(2, 250)}
     deep = json.loads("[" * 700 + "]" * 700)
     found = parsed({"state": "ready", "reason": "a" * 249, "said": said, "other": deep})
-    assert found.reason == "a" * 249 and len(told(found.reason)) <= 20
+    assert found.reason == "a" * 249 and len(templates_of(found.reason)) <= 20
     assert len(parsed({"reason": "x" * 100_000}).reason) == 2000
 
 

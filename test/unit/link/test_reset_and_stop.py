@@ -364,7 +364,7 @@ class TestWithdrawal:
         bench.run(1.0)
         bench.supervisor.withdraw(bench.supervisor.requests, "not armed within 5 s: RESYNC")
         bench.run(3.0)
-        assert bench.gateway.session == "other" and not bench.gateway.fault
+        assert bench.gateway.command_session == "other" and not bench.gateway.fault
         assert bench.link is LinkState.NEEDS_RESET
 
     @pytest.mark.parametrize("waiting", ["halted", "failed before", "another process waited"])

@@ -39,7 +39,7 @@ def set_(limits: SpeedLimits, limit: float, seconds: float, person: str = "dora"
 
 
 def in_force(limits: SpeedLimits, seconds: float = 0.0) -> float:
-    report = limits.report(START + round(seconds * NANOSECONDS))
+    report = limits.state_report(START + round(seconds * NANOSECONDS))
     return 1.0 if report is None else report.limit
 
 
@@ -48,21 +48,21 @@ def say(limits: SpeedLimits, fraction: float, seconds: float, name: str = "/sepa
 
 
 def test_before_anybody_limits_there_is_nothing_to_repeat():
-    assert made().report(START) is None
-    assert made(required=True).report(START) is None, "what is required then the executor does by itself"
+    assert made().state_report(START) is None
+    assert made(required=True).state_report(START) is None, "what is required then the executor does by itself"
 
 
 def test_the_lowest_wins_whoever_came_last():
     limits = made()
     say(limits, 0.5, 1.0)
     set_(limits, 0.3, 1.1)
-    assert (in_force(limits, 1.2), limits.report(at(1.2).at).by) == (0.3, "people")
+    assert (in_force(limits, 1.2), limits.state_report(at(1.2).at).by) == (0.3, "people")
     say(limits, 0.2, 1.2)
-    report = limits.report(at(1.2).at)
+    report = limits.state_report(at(1.2).at)
     assert (report.limit, report.by, report.people, report.program) == (0.2, "program", 0.3, 0.2)
     assert "/separation" in report.reason and "somebody is near" in report.reason
     say(limits, 1.0, 1.3)
-    assert (in_force(limits, 1.3), limits.report(at(1.3).at).reason) == (0.3, "dora has limited the speed to 30%")
+    assert (in_force(limits, 1.3), limits.state_report(at(1.3).at).reason) == (0.3, "dora has limited the speed to 30%")
 
 
 def test_a_program_that_falls_silent_counts_as_before_and_never_as_more_than_it_had_said():
@@ -70,7 +70,7 @@ def test_a_program_that_falls_silent_counts_as_before_and_never_as_more_than_it_
     for said, silent in ((0.5, SILENT), (0.05, 0.05)):
         say(limits, said, 0.0)
         assert in_force(limits, DEADLINE) == said
-        report = limits.report(at(DEADLINE + 0.01).at)
+        report = limits.state_report(at(DEADLINE + 0.01).at)
         assert report.limit == silent and "silent" in report.reason
     set_(limits, 0.3, 1.0)
     assert in_force(limits, 1.0) == 0.05, "people do not lift what a program has said"
@@ -79,7 +79,7 @@ def test_a_program_that_falls_silent_counts_as_before_and_never_as_more_than_it_
 def test_people_limit_beside_a_program_that_is_required_and_was_never_heard():
     limits = made(required=True)
     set_(limits, 0.5, 0.0)
-    assert (in_force(limits), limits.report(START).by) == (SILENT, "program")
+    assert (in_force(limits), limits.state_report(START).by) == (SILENT, "program")
 
 
 def test_who_lowers_raises_nothing_and_who_raises_lowers_nothing():
@@ -128,7 +128,7 @@ def test_who_set_it_and_whose_was_replaced_is_known():
     sentence = set_(limits, 0.6, 3.0, person="bob", seen=2.9)
     assert limits.people == SpeedChange("bob", 0.6, 0.3, "dora", 3 * NANOSECONDS)
     assert isinstance(sentence, Sentence) and "(dora)" in sentence
-    report = limits.report(START)
+    report = limits.state_report(START)
     assert (report.person, report.since, report.replaced, report.replaced_person) == ("bob", 3 * 10**9, 0.3, "dora")
 
 
@@ -218,7 +218,7 @@ def test_whatever_happens_only_a_fresh_look_raises_people_s_limit_and_the_lowest
             limits = SpeedLimits(limits.program, before, at(now))
         if step[0] != "people":
             assert limits.people == before, "nothing but a person changes it"
-        report = limits.report(at(now).at)
+        report = limits.state_report(at(now).at)
         assert report is None or report.limit == min(report.people, report.program)
         assert report is not None or (told is None and limits.people == NOBODY)
         if told is not None:

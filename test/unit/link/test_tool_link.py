@@ -23,7 +23,7 @@ def switch(tool, id="a", obstacle=""):
 
 
 def told(tool, obstacle=""):
-    return {id: switch.state for id, switch in tool.report(obstacle).switches.items()}
+    return {id: switch.state for id, switch in tool.state_report(obstacle).switches.items()}
 
 
 def status(state="armed", run="r1", session="", **changes):
@@ -59,7 +59,7 @@ def test_a_refusal_is_told_with_its_sentence():
     tool = link()
     tool.on_status(status(switches=[]))
     tool.on_answer(answer(switch(tool), False, "tool: the outputs are not known"))
-    report = tool.report("")
+    report = tool.state_report("")
     assert report.switches == {"a": SwitchReport(REFUSED, "tool: the outputs are not known")}
     assert report.reason == "tool: the outputs are not known" and report.known
 
@@ -67,7 +67,7 @@ def test_a_refusal_is_told_with_its_sentence():
 def test_without_an_armed_link_nothing_is_sent():
     tool = link()
     assert switch(tool, obstacle="the link is RESYNC: why") is None
-    assert tool.report("").switches == {
+    assert tool.state_report("").switches == {
         "a": SwitchReport(
             REFUSED,
             "tool: the link is RESYNC: why",
@@ -82,7 +82,7 @@ def test_an_id_is_used_once():
     assert switch(tool) is None
     tool.on_answer(answer(control))
     assert switch(tool) is None and told(tool) == {"a": ARMED}
-    assert "asked for before" in tool.report("").reason
+    assert "asked for before" in tool.state_report("").reason
 
 
 @pytest.mark.parametrize("final", ["fired", "void", "refused"])
@@ -102,12 +102,12 @@ def test_a_gateway_that_was_started_again_has_no_armed_switches():
     tool.on_status(status("armed"))
     tool.on_status(status(run="r2", switches=[]))
     why = "the gateway was started again: whether it fired is not known"
-    assert tool.report("").switches == {"a": SwitchReport(REFUSED, why)}
+    assert tool.state_report("").switches == {"a": SwitchReport(REFUSED, why)}
     waiting = switch(tool, "b")
     tool.on_status(status(run="r3", switches=[]))
     tool.on_answer(answer(waiting))
     assert (
-        tool.report("").switches == {"a": SwitchReport(REFUSED, why), "b": SwitchReport(REFUSED, why)}
+        tool.state_report("").switches == {"a": SwitchReport(REFUSED, why), "b": SwitchReport(REFUSED, why)}
         and not tool.waiting
     )
 
@@ -115,13 +115,13 @@ def test_a_gateway_that_was_started_again_has_no_armed_switches():
 def test_the_last_refusal_is_told_until_a_switch_is_accepted_or_another_session_begins():
     tool = link()
     tool.on_status(status(session="s1", switches=[]))
-    assert tool.report("").reason == ""
+    assert tool.state_report("").reason == ""
     for number, end in enumerate((lambda: tool.on_answer(answer(switch(tool, "ok"))), lambda: tool.on_status(NEXT))):
         tool.on_answer(answer(switch(tool, f"no{number}"), False, "tool: no"))
         tool.on_status(status(session="s1", switches=[]))
-        assert tool.report("").reason == "tool: no"
+        assert tool.state_report("").reason == "tool: no"
         end()
-        assert tool.report("").reason == ""
+        assert tool.state_report("").reason == ""
 
 
 def test_a_gate_that_closes_voids_what_is_armed_or_not_answered_yet_and_nothing_else():
@@ -140,9 +140,9 @@ def test_a_gate_that_closes_voids_what_is_armed_or_not_answered_yet_and_nothing_
 
 def test_while_the_gateway_is_not_there_nothing_is_known_but_what_was_told():
     tool = link()
-    assert tool.report("").reason == "no status of the gateway yet"
+    assert tool.state_report("").reason == "no status of the gateway yet"
     tool.on_status(status("fired"))
-    report = tool.report("the link is DISCONNECTED: why")
+    report = tool.state_report("the link is DISCONNECTED: why")
     assert (report.known, report.reason, report.tool) == (
         False,
         "the link is DISCONNECTED: why",

@@ -43,15 +43,15 @@ class Numbered:
 class TestTravelTime:
     def test_the_excess_is_told_from_the_quickest_one(self):
         travel = TravelTime()
-        assert travel.take(1000, 7000) == 0 and travel.take(1000, 7500) == 500
-        assert travel.take(3000, 8000) == 0 and travel.take(3000, 8001) == 1
+        assert travel.record(1000, 7000) == 0 and travel.record(1000, 7500) == 500
+        assert travel.record(3000, 8000) == 0 and travel.record(3000, 8001) == 1
 
     def test_the_measured_excess_changes_nothing_and_is_negative_for_a_quicker_one(self):
         travel = TravelTime()
         assert travel.excess(1000, 7000) == 0
-        travel.take(1000, 7000)
+        travel.record(1000, 7000)
         assert [travel.excess(1500, 7000), travel.excess(1500, 7000), travel.excess(0, 7000)] == [-500, -500, 1000]
-        assert travel.take(1000, 7500) == 500
+        assert travel.record(1000, 7500) == 500
 
 
 class TestSequence:

@@ -114,7 +114,7 @@ def test_offset_and_drift_move_the_reading_and_not_the_arm():
     packets = bench.cycles(51)
     assert packets[0].measured[0] == pytest.approx(0.02, abs=1e-7)
     assert packets[50].measured[1] - packets[0].measured[1] == pytest.approx(-0.1 * 50 * CYCLE, abs=1e-7)
-    assert bench.mock.true == HOME
+    assert bench.mock.true_position == HOME
     bench.faults.end(Fault("offset", "A1"))
     assert bench.cycle(ZERO).measured[0] == 0.0
 
@@ -127,7 +127,7 @@ def test_a_restarted_controller_takes_its_readings_for_its_pose():
     bench.mock.restart()
     packet = bench.cycle(ZERO)
     assert packet.measured[0] == packet.setpoint[0] == pytest.approx(0.02, abs=1e-7)
-    assert bench.mock.true == pytest.approx(HOME)
+    assert bench.mock.true_position == pytest.approx(HOME)
 
 
 def test_backlash_holds_the_reading_back_by_half_the_play():

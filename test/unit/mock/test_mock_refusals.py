@@ -14,10 +14,12 @@ def test_why_replies_are_refused_is_told_once_and_not_in_every_cycle():
     cell = Cell()
     for _ in range(50):
         cell.cycle(ZERO, encoder=OTHER_NAMES)
-    assert cell.mock.refusals.news == [f"reply refused: {NO_AK}"]
+    assert cell.mock.refusals.log_lines == [f"reply refused: {NO_AK}"]
     assert cell.mock.refusals.present == cell.mock.refusals.last == NO_AK
     cell.cycle(ZERO, encoder=SensorEncoder("KROSHU", AXES))
-    assert cell.mock.refusals.news[1:] == ["reply refused: the reply's Type is 'KROSHU'; expected the SENTYPE 'ImFree'"]
+    assert cell.mock.refusals.log_lines[1:] == [
+        "reply refused: the reply's Type is 'KROSHU'; expected the SENTYPE 'ImFree'"
+    ]
 
 
 def test_a_time_out_names_the_refusal_of_the_last_reply():

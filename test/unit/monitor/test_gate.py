@@ -8,7 +8,7 @@ import re
 import pytest
 from gate_bench import CODEC, FIRST_STEP, SETTINGS, START, Bench, moved
 
-from construction_twin.core.sentences import told
+from construction_twin.core.sentences import templates_of
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
 from construction_twin.monitor.states import SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
@@ -73,7 +73,7 @@ class TestOpening:
         bench.run(0.12)
         last = bench.stamp
         timeout = round(SETTINGS.feedback_timeout * NANOSECONDS)
-        assert bench.gate.agreed(last + timeout) and not bench.gate.agreed(last + timeout + 1)
+        assert bench.gate.is_agreed(last + timeout) and not bench.gate.is_agreed(last + timeout + 1)
 
     @pytest.mark.parametrize("distance", [FIRST_STEP * 3, -FIRST_STEP * 3, 0.1, 5.0, math.inf, math.nan])
     def test_stays_closed_while_the_stream_does_not_continue_from_the_twin(self, distance):
@@ -86,7 +86,7 @@ class TestOpening:
 
     def test_a_first_step_within_one_cycle_s_budget_passes(self):
         bench = Bench()
-        while not bench.gate.agreed(bench.stamp):
+        while not bench.gate.is_agreed(bench.stamp):
             bench.cycle(moved(START, 0.5))
         assert bench.cycle(moved(START, FIRST_STEP)) == CODEC.quantise(moved(START, FIRST_STEP))
 
@@ -151,7 +151,7 @@ class TestHolding:
         assert bench.state is SyncState.IN_SYNC
         bench.gate.watch(bench.stamp + timeout + 1)
         assert (bench.state, bench.gate.violations, bench.gate.held) == (SyncState.STALE, 1, START)
-        assert bench.gate.reason.startswith("last comparable feedback is ") and told(bench.gate.reason)
+        assert bench.gate.reason.startswith("last comparable feedback is ") and templates_of(bench.gate.reason)
 
     def test_closes_without_a_setpoint_when_a_joint_differs_and_counts_once(self):
         bench = Bench().opened()
@@ -164,7 +164,7 @@ class TestHolding:
 
     def test_watching_never_opens(self):
         bench = Bench()
-        while not bench.gate.agreed(bench.stamp):
+        while not bench.gate.is_agreed(bench.stamp):
             bench.cycle(moved(START, 0.5))
         bench.gate.watch(bench.stamp)
         assert (bench.state, bench.gate.violations, bench.gate.held) == (SyncState.WAITING, 0, ())
@@ -240,7 +240,7 @@ class TestRestart:
         bench = Bench().opened()
         bench.gate.restart("new command session", bench.stamp)
         assert bench.state is SyncState.WAITING and bench.gate.reason == "new command session"
-        assert not bench.gate.agreed(bench.stamp)
+        assert not bench.gate.is_agreed(bench.stamp)
         assert bench.gate.pass_next(bench.stamp + CYCLE_NS, START, bench.stamp + CYCLE_NS) is None
 
     def test_begins_at_the_twin_s_new_pose(self):

@@ -18,7 +18,7 @@ from construction_twin.monitor.states import SyncEvent, SyncState
 def bench(**settings) -> Bench:
     """Return an open bench with these settings."""
     opened = Bench(GateSettings(**settings)).opened()
-    opened.gate.take_transitions()
+    opened.gate.pop_transitions()
     return opened
 
 
@@ -30,12 +30,15 @@ def held_often(gate: Gate) -> tuple[int, float]:
 
 class TestThresholds:
     def test_one_value_holds_for_all_joints_and_others_are_given_by_name(self):
-        settings = GateSettings(threshold=0.02, thresholds={"joint_a2": 0.005}).compared(LIMITS)
+        settings = GateSettings(threshold=0.02, thresholds={"joint_a2": 0.005}).comparison_settings(LIMITS)
         assert settings.threshold == (0.02, 0.005)
 
     def test_linear_joints_have_a_value_of_their_own(self):
         limits = MotionLimits(("joint_a1", "track"), (-2.0, 0.0), (2.0, 3.0), (2.0, 1.0), (3.0, 1.0), (False, True))
-        assert GateSettings(threshold=0.02, threshold_linear=0.003).compared(limits).threshold == (0.02, 0.003)
+        assert GateSettings(threshold=0.02, threshold_linear=0.003).comparison_settings(limits).threshold == (
+            0.02,
+            0.003,
+        )
 
     def test_a_name_that_is_no_joint_is_refused(self):
         with pytest.raises(ConfigurationError, match="joint_a9"):
@@ -43,10 +46,10 @@ class TestThresholds:
 
     def test_can_be_changed_at_rest_and_the_change_is_a_transition(self):
         gate = bench().gate
-        gate.take_transitions()
+        gate.pop_transitions()
         reason = gate.reason
         gate.configure(GateSettings(threshold=0.3), "Ada changed threshold 0.01 -> 0.3", gate.held_stamp)
-        (change,) = gate.take_transitions()
+        (change,) = gate.pop_transitions()
         assert (change.source, change.event, change.target) == (
             SyncState.IN_SYNC,
             SyncEvent.CONFIGURED,
@@ -74,7 +77,7 @@ class TestThresholds:
         before = gate.settings
         if stopped:
             gate.fire(SyncEvent.STOPPED_BEFORE, "by an earlier monitor", gate.held_stamp)
-        gate.mirror(True, gate.held_stamp)
+        gate.set_mirrored(True, gate.held_stamp)
         with pytest.raises(ConfigurationError, match="the gate.*an arm that does not: it can move at any moment"):
             gate.configure(GateSettings(threshold=0.3), "Ada", gate.held_stamp)
         assert gate.settings is before
@@ -99,7 +102,7 @@ class TestClosing:
     def test_the_transition_tells_when_why_and_with_which_values(self):
         cell = bench()
         cell.gate.on_physical(moved(START, 0.2), 0, cell.stamp)
-        (change,) = cell.gate.take_transitions()
+        (change,) = cell.gate.pop_transitions()
         assert (change.at, change.source, change.event) == (cell.stamp, SyncState.IN_SYNC, SyncEvent.POSE_DIFFERS)
         said = change.reason
         assert said.startswith("A1 differs by ")
@@ -142,7 +145,7 @@ class TestHysteresis:
         cell = bench()
         cell.offset = 0.99 * SETTINGS.threshold
         cell.run(1.0)
-        assert cell.state is SyncState.IN_SYNC and cell.gate.agreed(cell.stamp)
+        assert cell.state is SyncState.IN_SYNC and cell.gate.is_agreed(cell.stamp)
 
     def test_an_error_that_swings_about_the_threshold_does_not_chatter(self):
         cell = bench()
@@ -289,7 +292,7 @@ class TestCause:
     def test_while_the_arm_leads_there_is_none(self):
         cell = bench()
         close(cell, "differs")
-        cell.gate.mirror(True, cell.stamp)
+        cell.gate.set_mirrored(True, cell.stamp)
         cell.cycle()
         assert cell.gate.cause is None
 
@@ -299,10 +302,10 @@ class TestGivingUp:
     def test_ends_in_stopped_which_only_a_new_session_leaves(self, cause):
         cell = bench(give_up_time=0.5)
         close(cell, cause)
-        closed = next(c for c in cell.gate.take_transitions() if c.source is SyncState.IN_SYNC).at
+        closed = next(c for c in cell.gate.pop_transitions() if c.source is SyncState.IN_SYNC).at
         held = set(cell.run(0.6))
         assert cell.state is SyncState.STOPPED and held == {START}
-        (gave_up,) = (c for c in cell.gate.take_transitions() if c.event is SyncEvent.GAVE_UP)
+        (gave_up,) = (c for c in cell.gate.pop_transitions() if c.event is SyncEvent.GAVE_UP)
         assert 0.5 * NANOSECONDS < gave_up.at - closed <= 0.5 * NANOSECONDS + 2 * CYCLE_NS
         cell.offset, cell.feedback = 0.0, True
         assert set(cell.run(2.0)) == {START} and cell.state is SyncState.STOPPED
@@ -383,7 +386,7 @@ class TestEscalation:
 class TestStoppedBefore:
     def test_begins_stopped_and_only_a_new_session_leads_out(self):
         cell = Bench()
-        cell.gate.take_transitions()
+        cell.gate.pop_transitions()
         cell.gate.fire(SyncEvent.STOPPED_BEFORE, "it was STOPPED before", cell.stamp)
         assert states(cell.gate) == [("stopped_before", "STOPPED")]
         assert set(cell.run(1.0)) == {None} and cell.state is SyncState.STOPPED
@@ -394,26 +397,26 @@ class TestStoppedBefore:
 class TestMirror:
     def test_nothing_opens_the_gate_while_the_arm_leads(self):
         cell = bench()
-        cell.gate.mirror(True, cell.stamp)
+        cell.gate.set_mirrored(True, cell.stamp)
         assert cell.state is SyncState.WAITING
         assert set(cell.run(1.0)) == {None}
         assert cell.state is SyncState.WAITING and cell.gate.held == ()
-        cell.gate.mirror(False, cell.stamp)
+        cell.gate.set_mirrored(False, cell.stamp)
         cell.gate.restart("new command session", cell.stamp)
         cell.opened()
 
     def test_is_one_change_however_often_it_is_said(self):
         cell = bench()
         for _ in range(3):
-            cell.gate.mirror(True, cell.stamp)
+            cell.gate.set_mirrored(True, cell.stamp)
         assert states(cell.gate) == [("mirror", "WAITING")]
 
     def test_does_not_lead_out_of_stopped(self):
         cell = bench(policy="stop")
         close(cell, "differs")
-        cell.gate.mirror(True, cell.stamp)
+        cell.gate.set_mirrored(True, cell.stamp)
         assert cell.cycle() is None
-        cell.gate.mirror(False, cell.stamp)
+        cell.gate.set_mirrored(False, cell.stamp)
         assert cell.cycle() == START and cell.state is SyncState.STOPPED
 
 

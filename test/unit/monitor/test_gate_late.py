@@ -8,7 +8,7 @@ import pytest
 from gate_bench import CODEC, SETTINGS, START, Bench, moved, states
 
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
-from construction_twin.monitor.comparison import KEPT, RoundTrips
+from construction_twin.monitor.comparison import MAX_SETPOINTS, RoundTrips
 from construction_twin.monitor.settings import GateSettings
 from construction_twin.monitor.states import SyncEvent, SyncState
 
@@ -16,7 +16,7 @@ from construction_twin.monitor.states import SyncEvent, SyncState
 def bench(**settings) -> Bench:
     """Return an open bench with these settings."""
     opened = Bench(GateSettings(**settings)).opened()
-    opened.gate.take_transitions()
+    opened.gate.pop_transitions()
     return opened
 
 
@@ -37,7 +37,7 @@ class TestLateSetpoints:
     def test_a_burst_of_old_setpoints_does_not_pass_at_once(self):
         cell = bench()
         assert set(self.burst(cell, 125, 0)) == {START}
-        change, *more = cell.gate.take_transitions()
+        change, *more = cell.gate.pop_transitions()
         assert (change.event, change.target, more) == (SyncEvent.SETPOINT_STALE, SyncState.STALE, [])
         assert change.reason.values["late"] == pytest.approx(0.496, abs=1e-3)
 
@@ -97,7 +97,7 @@ class TestClocks:
         gate.watch(now + round(SETTINGS.feedback_timeout * NANOSECONDS))
         assert gate.state is SyncState.IN_SYNC
         gate.watch(now + round(SETTINGS.feedback_timeout * NANOSECONDS) + 1)
-        assert gate.state is SyncState.STALE and not gate.agreed(now + NANOSECONDS)
+        assert gate.state is SyncState.STALE and not gate.is_agreed(now + NANOSECONDS)
         gate.watch(now + NANOSECONDS)
         assert gate.state is SyncState.STOPPED
 
@@ -117,12 +117,12 @@ class TestClocks:
 
     def test_of_a_setpoint_that_nobody_has_seen_pass_no_round_trip_is_known(self):
         trips = RoundTrips()
-        trips.note(5 * CYCLE_NS, 100)
+        trips.on_setpoint(5 * CYCLE_NS, 100)
         assert trips.since(5 * CYCLE_NS, 100 + CYCLE_NS) == CYCLE
         assert trips.since(5 * CYCLE_NS, 90) == 0.0
-        for unknown in (0, 4 * CYCLE_NS, 6 * CYCLE_NS, (5 + KEPT) * CYCLE_NS):
+        for unknown in (0, 4 * CYCLE_NS, 6 * CYCLE_NS, (5 + MAX_SETPOINTS) * CYCLE_NS):
             assert math.isnan(trips.since(unknown, 100 + CYCLE_NS))
-        trips.note((5 + KEPT) * CYCLE_NS, 200)
+        trips.on_setpoint((5 + MAX_SETPOINTS) * CYCLE_NS, 200)
         assert math.isnan(trips.since(5 * CYCLE_NS, 300))
 
     def test_agreement_takes_its_time_whatever_the_stamps_say(self):
@@ -131,4 +131,4 @@ class TestClocks:
         for k in range(1, 50):
             now = cell.stamp + k * CYCLE_NS
             cell.gate.on_physical(START, 0, now, cell.stamp + k * NANOSECONDS)
-            assert cell.gate.agreed(now) is ((k - 1) * CYCLE_NS >= SETTINGS.agree_time * NANOSECONDS)
+            assert cell.gate.is_agreed(now) is ((k - 1) * CYCLE_NS >= SETTINGS.agree_time * NANOSECONDS)

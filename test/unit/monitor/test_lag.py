@@ -19,7 +19,7 @@ def follow(
     rng = random.Random(1)
     for _ in range(samples):
         late = -speed * (lag - estimate.nanoseconds / 1e9) + rng.uniform(-noise, noise)
-        estimate.learn((late, rng.uniform(-noise, noise)), (speed, 0.0))
+        estimate.add_sample((late, rng.uniform(-noise, noise)), (speed, 0.0))
     return estimate
 
 
@@ -46,7 +46,7 @@ def test_is_unknown_until_the_arm_has_moved_long_enough():
 def test_learns_nothing_at_rest():
     estimate = LagEstimate(0.05)
     for _ in range(10 * ENOUGH):
-        estimate.learn((0.3, 0.3), (0.7 * SLOWEST, 0.7 * SLOWEST))
+        estimate.add_sample((0.3, 0.3), (0.7 * SLOWEST, 0.7 * SLOWEST))
     assert not estimate.known and estimate.nanoseconds == 0
 
 
@@ -60,5 +60,5 @@ def test_follows_a_lag_that_changes():
 def test_never_leaves_its_bounds(samples):
     estimate = LagEstimate(0.05)
     for difference, velocity in samples:
-        estimate.learn((difference,), (velocity,))
+        estimate.add_sample((difference,), (velocity,))
         assert 0 <= estimate.nanoseconds <= 50_000_000

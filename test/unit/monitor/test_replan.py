@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from memory import size
 
-from construction_twin.monitor.monitor import KEPT, Monitor, ReplanGoal
+from construction_twin.monitor.monitor import MAX_GOALS, Monitor, ReplanGoal
 
 
 def monitor() -> Monitor:
@@ -25,13 +25,13 @@ def test_a_played_plan_is_remembered_however_many_are_offered():
     goals = monitor()
     goals.on_plan("a", [0.1], [0.2], [0.3])
     goals.on_execution("a", "", True, "c0ffee00-7")
-    for number in range(3 * KEPT):
-        if number == KEPT + 2:
+    for number in range(3 * MAX_GOALS):
+        if number == MAX_GOALS + 2:
             held = size(goals)
         goals.on_plan(str(number), [0.0], [0.1], [0.1])
     assert goals.interrupted.goal == (0.1,)
     assert size(goals) <= held
-    goals.on_execution(str(3 * KEPT - 1), "", True, "c0ffee00-7")
+    goals.on_execution(str(3 * MAX_GOALS - 1), "", True, "c0ffee00-7")
     assert goals.interrupted.goal == (0.0,)
 
 

@@ -17,16 +17,16 @@ def work(refinement: Refinement, residual, samples: int = ENOUGH + 200) -> dict:
     """Move to and fro; `residual` makes of number and speed what is measured beside the expectation."""
     for number in range(samples):
         speed = math.sin(number / 200.0)
-        refinement.learn((residual(number, speed), 0.0), (speed, 0.0))
-    return refinement.take() if refinement.due else {}
+        refinement.add_sample((residual(number, speed), 0.0), (speed, 0.0))
+    return refinement.apply() if refinement.due else {}
 
 
 def test_a_lag_is_learned_step_by_step_and_no_further_than_its_reach():
     refinement = Refinement(MODEL)
     for turn in range(1, 12):
-        left = 0.005 - refinement.later[0]
+        left = 0.005 - refinement.added_lags[0]
         changes = work(refinement, lambda _, speed, left=left: -left * speed, 2 * ENOUGH)
-        assert refinement.later[0] == pytest.approx(min(turn * STEP, REACH), rel=1e-6)
+        assert refinement.added_lags[0] == pytest.approx(min(turn * STEP, REACH), rel=1e-6)
         assert set(changes) <= {"a"} and all(abs(change) <= STEP + 1e-12 for change in changes.values())
     assert not changes
     assert refinement.model.servos[0].lag(0.004) == pytest.approx(MODEL.servos[0].lag(0.004) + REACH)
@@ -42,7 +42,7 @@ def test_what_does_not_grow_with_speed_is_not_learned(residual):
     refinement = Refinement(MODEL)
     for _ in range(20):
         work(refinement, residual, 4 * ENOUGH)
-    assert abs(refinement.later[0]) <= 2 * LEAST
+    assert abs(refinement.added_lags[0]) <= 2 * LEAST
 
 
 def test_too_little_motion_and_too_small_a_change_do_nothing():

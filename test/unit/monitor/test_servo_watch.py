@@ -218,21 +218,21 @@ def test_the_gate_closes_for_a_slip_that_its_speed_term_would_let_pass():
     assert loop.gate.state is SyncState.IN_SYNC
     loop.offset = -math.radians(0.75)
     loop.swing(0)
-    begin = len(loop.gate.take_transitions())
+    begin = len(loop.gate.pop_transitions())
     assert begin >= 1
     t0 = loop.stamp
     for number in range(3):
         t = 160 * CYCLE + (loop.stamp - t0) / 1e9
         loop.cycle((0.2 * (1 - math.cos(2.5 * t)), 0.0))
-    (closed,) = loop.gate.take_transitions()
+    (closed,) = loop.gate.pop_transitions()
     assert (closed.event, closed.target) == (SyncEvent.POSE_DIFFERS, SyncState.HOLDING)
     assert closed.reason.startswith("A1 ") and "servo" in closed.reason
     assert closed.comparison.agrees
-    assert not loop.gate.agreed(loop.stamp) and loop.gate.cause.sentence == closed.reason
+    assert not loop.gate.is_agreed(loop.stamp) and loop.gate.cause.sentence == closed.reason
 
 
 def test_a_gate_without_a_model_has_no_watch():
-    assert Gate(LIMITS, CODEC, SETTINGS).watch_of_servos is None
+    assert Gate(LIMITS, CODEC, SETTINGS).servo_watch is None
 
 
 def test_a_refinement_is_a_transition_at_rest_that_changes_no_state():
@@ -243,10 +243,10 @@ def test_a_refinement_is_a_transition_at_rest_that_changes_no_state():
     for _ in range(2 * ENOUGH // period + 2):
         loop.swing(period)
     assert loop.gate.state is SyncState.IN_SYNC
-    loop.gate.take_transitions()
+    loop.gate.pop_transitions()
     for _ in range(200):
         loop.cycle(loop.twin)
-    (change,) = loop.gate.take_transitions()
+    (change,) = loop.gate.pop_transitions()
     assert (change.source, change.target, change.event) == (
         SyncState.IN_SYNC,
         SyncState.IN_SYNC,

@@ -25,26 +25,26 @@ BEHAVIOUR = GateSettings.model_validate(
 )  # fmt: skip
 class TestNumbers:
     def test_have_a_largest_value(self, name, largest):
-        assert getattr(BEHAVIOUR.changed(f"{{{name}: {largest}}}"), name) == largest
+        assert getattr(BEHAVIOUR.with_changes(f"{{{name}: {largest}}}"), name) == largest
         with pytest.raises(ConfigurationError, match=name):
-            BEHAVIOUR.changed(f"{{{name}: {largest + 1}}}")
+            BEHAVIOUR.with_changes(f"{{{name}: {largest + 1}}}")
 
     @pytest.mark.parametrize(
         "value", ["yes", '"0.5"', ".nan", ".inf", "-1", "null", "[1]", "{a: 1}", "2001-01-01", 400 * "9"]
     )
     def test_are_numbers(self, name, largest, value):
         with pytest.raises(ConfigurationError, match=name):
-            BEHAVIOUR.changed(f"{{{name}: {value}}}")
+            BEHAVIOUR.with_changes(f"{{{name}: {value}}}")
 
     def test_may_be_whole(self, name, largest):
-        assert getattr(BEHAVIOUR.changed(f"{{{name}: 1}}"), name) == 1
+        assert getattr(BEHAVIOUR.with_changes(f"{{{name}: 1}}"), name) == 1
 
 
 @pytest.mark.parametrize("value", ["1.01", "yes", '"0.5"', "0"])
 def test_the_threshold_of_a_single_joint_has_the_same_range(value):
-    assert BEHAVIOUR.changed("{thresholds: {joint_a1: 1}}").thresholds == {"joint_a1": 1.0}
+    assert BEHAVIOUR.with_changes("{thresholds: {joint_a1: 1}}").thresholds == {"joint_a1": 1.0}
     with pytest.raises(ConfigurationError, match="joint_a1"):
-        BEHAVIOUR.changed(f"{{thresholds: {{joint_a1: {value}}}}}")
+        BEHAVIOUR.with_changes(f"{{thresholds: {{joint_a1: {value}}}}}")
 
 
 @pytest.mark.parametrize(
@@ -53,5 +53,5 @@ def test_the_threshold_of_a_single_joint_has_the_same_range(value):
 )
 def test_a_text_that_cannot_be_read_is_refused_with_one_sentence(text):
     with pytest.raises(ConfigurationError) as refusal:
-        BEHAVIOUR.changed(text)
+        BEHAVIOUR.with_changes(text)
     assert len(str(refusal.value)) < 1000

@@ -76,7 +76,7 @@ class Cell(RuleBasedStateMachine):
         if feedback != "none":
             error = {"agrees": 0.0, "close": 0.0085, "differs": 0.2, "nan": math.nan}[feedback]
             gate.on_physical((self.twin[0] + error, *self.twin[1:]), 0, stamp)
-        executor.on_sync(gate.state, gate.agreed(stamp), gate.policy, gate.held_stamp)
+        executor.on_sync(gate.state, gate.is_agreed(stamp), gate.policy, gate.held_stamp)
         before = executor.state
         theta_next = executor.step(stamp, stamp)
         given = theta_next if setpoint is None else setpoint
@@ -111,7 +111,7 @@ class Cell(RuleBasedStateMachine):
         self.twin = self.command = command
 
     def check_transitions(self):
-        for change in self.gate.take_transitions():
+        for change in self.gate.pop_transitions():
             assert change.target in {row.target for row in ROWS[change.source, change.event]}
             assert change.source is self.state and change.reason and 0 < change.at <= self.stamp
             if change.source is SyncState.STOPPED is not change.target:
@@ -203,7 +203,7 @@ class Cell(RuleBasedStateMachine):
     @rule(policy=st.sampled_from((REPLAN, RESUME, STOP)), threshold=st.sampled_from([0.002, 0.01, 0.1]))
     def reconfigure(self, policy, threshold):
         before, reason = self.gate.settings, self.gate.reason
-        rests = self.gate.rests(self.stamp)
+        rests = self.gate.is_at_rest(self.stamp)
         try:
             self.gate.configure(GateSettings(policy=policy, threshold=threshold, **BRISK), "by the test", self.stamp)
         except ConfigurationError:
@@ -216,12 +216,12 @@ class Cell(RuleBasedStateMachine):
 
     @rule(cycles=st.integers(1, 20), reset=st.booleans())
     def mirror(self, cycles, reset):
-        self.gate.mirror(True, self.stamp)
+        self.gate.set_mirrored(True, self.stamp)
         self.check_transitions()
         for _ in range(cycles):
             self.cycle()
             assert self.state in (SyncState.WAITING, SyncState.STOPPED)
-        self.gate.mirror(False, self.stamp)
+        self.gate.set_mirrored(False, self.stamp)
         if reset:
             self.reset()
 

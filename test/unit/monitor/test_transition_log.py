@@ -63,9 +63,9 @@ def test_a_disk_that_refuses_is_named_until_it_takes_what_was_kept(tmp_path, mon
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", full)
         log.flush()
-    assert "No space left on device" in log.problem and (tmp_path / "log.jsonl").read_text() == ""
+    assert "No space left on device" in log.fault and (tmp_path / "log.jsonl").read_text() == ""
     log.flush()
-    assert log.problem == "" and len(read_lines(tmp_path / "log.jsonl")) == 1
+    assert log.fault == "" and len(read_lines(tmp_path / "log.jsonl")) == 1
 
 
 def test_a_file_that_cannot_be_written_is_named(tmp_path):

@@ -74,7 +74,9 @@ def test_the_direction_and_the_kind_of_joint_are_of_no_account():
 def test_what_is_shipped_for_a_real_arm():
     assert SHIPPED["lag_margin"] <= 0.02 and GateSettings().lag_margin == SHIPPED["lag_margin"]
     limits = MotionLimits.of(ROBOT)
-    settings = GateSettings(lag_allowance=SHIPPED["lag_allowance"], lag_margin=SHIPPED["lag_margin"]).compared(limits)
+    settings = GateSettings(
+        lag_allowance=SHIPPED["lag_allowance"], lag_margin=SHIPPED["lag_margin"]
+    ).comparison_settings(limits)
     degrees = [round(math.degrees(one), 2) for one in undetected(settings, limits.velocity)]
     assert degrees == DEGREES
 

@@ -16,7 +16,7 @@ from site_broker import Listener, SiteBroker
 from construction_twin.broker.certificates import Authority, openssl, write_private
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mqtt.client import Account, Broker, make_client, unique_id
-from construction_twin.mqtt.failures import ConnectionReport, connection_failure
+from construction_twin.mqtt.failures import ConnectionLog, connection_failure
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ class Attempt:
     def __init__(self, broker: Broker):
         self.said: list[str] = []
         self.welcome = False
-        report = ConnectionReport(broker, self.said.append)
+        report = ConnectionLog(broker, self.said.append)
         self.client = make_client(broker, unique_id("one", "attempt"), "unused/attempt")
         report.watch(self.client)
         self.client.on_connect = lambda c, u, f, code, p: (
@@ -42,7 +42,7 @@ class Attempt:
         self.client.on_disconnect = lambda c, u, f, code, p: report.lost(code)
         self.client.connect_async(broker.host, broker.port, broker.keepalive)
 
-    def _welcomed(self, report: ConnectionReport, *answer) -> None:
+    def _welcomed(self, report: ConnectionLog, *answer) -> None:
         self.welcome = True
         report.connected(*answer)
 
@@ -191,7 +191,7 @@ def test_a_failure_that_repeats_is_said_once_until_it_changes():
         probe.bind(("127.0.0.1", 0))
         broker = Broker(port=probe.getsockname()[1])
     said: list[str] = []
-    report = ConnectionReport(broker, said.append)
+    report = ConnectionLog(broker, said.append)
     for _ in range(3):
         report.failed(ConnectionRefusedError(111, "Connection refused"))
     report.failed(TimeoutError("timed out"))
@@ -222,7 +222,7 @@ def test_other_failures_are_one_sentence_with_the_address(error, said):
 def test_a_program_with_the_account_of_another_role_says_that_it_may_not_publish(site):
     said: list[str] = []
     broker = site.broker(site.account("vic"))
-    report = ConnectionReport(broker, said.append)
+    report = ConnectionLog(broker, said.append)
     client = make_client(broker, unique_id("one", "wrong"), "twin/one/status")
 
     def on_connect(client, *_):

@@ -8,7 +8,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.mqtt.client import Account, Broker, make_client, unique_id
-from construction_twin.mqtt.failures import ConnectionReport
+from construction_twin.mqtt.failures import ConnectionLog
 
 ACCOUNT = Account(user="x", password_file="/nowhere/password", name="x.json")
 
@@ -36,7 +36,7 @@ def test_an_account_whose_files_are_missing_makes_no_client():
 
 def test_only_the_watched_answer_counts_and_the_watch_ends_with_it():
     client, refused = make_client(Broker(), "id", "a/status"), []
-    report = ConnectionReport(Broker(), refused.append)
+    report = ConnectionLog(Broker(), refused.append)
     fine, denied = (ReasonCode(PacketTypes.PUBACK, name) for name in ("Success", "Not authorized"))
     for answer, count in ((denied, 1), (fine, 1)):
         report.watch_publish(client, "a/status", 5)

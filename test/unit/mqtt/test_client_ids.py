@@ -20,7 +20,7 @@ from site_broker import Listener, free_ports
 from construction_twin.core.udp import bind
 from construction_twin.gateway.service import GatewayService
 from construction_twin.mqtt.client import OFFLINE, Broker, make_client
-from construction_twin.mqtt.failures import ConnectionReport
+from construction_twin.mqtt.failures import ConnectionLog
 from construction_twin.mqtt.messages import Topics
 
 ID = "one-bridge-0123456789abcdef"
@@ -33,7 +33,7 @@ class Program:
     def __init__(self, broker: Broker, client_id: str, direct: bool = False):
         self.said: list[str] = []
         self.welcomes = 0
-        self.report = ConnectionReport(broker, self.said.append)
+        self.report = ConnectionLog(broker, self.said.append)
         self.client = make_client(broker, client_id, WILL_TOPIC, direct=direct)
         self.client.on_connect = self._on_connect
         self.client.on_disconnect = lambda c, u, f, code, p: self.report.lost(code)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.link.requests import Pressed, PressedAsSeen, read, read_document
+from construction_twin.link.requests import ButtonPress, StampedButtonPress, read, read_document
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.messages import Intervention, account_of, parse_intervention
 
@@ -28,14 +28,14 @@ MOMENT = "c0ffee00-5000"
 def test_a_stop_needs_an_id_alone_and_is_never_too_old(moment):
     document = {"id": "a-1"} | moment
     assert parse_intervention("ada", json.dumps(document).encode(), False) == Intervention("ada", "a-1")
-    assert read(Pressed, document, "stop").moment == ""
+    assert read(ButtonPress, document, "stop").moment == ""
 
 
 def test_what_starts_something_repeats_what_its_screen_had_shown():
-    assert read(PressedAsSeen, {"id": "a-1", "moment": MOMENT}, "resume").moment == MOMENT
+    assert read(StampedButtonPress, {"id": "a-1", "moment": MOMENT}, "resume").moment == MOMENT
     for moment in ({}, {"moment": ""}, {"moment": 5}, {"moment": None}, {"moment": "c0ffee00"}):
         with pytest.raises(PayloadError) as caught:
-            read(PressedAsSeen, {"id": "a-1"} | moment, "resume")
+            read(StampedButtonPress, {"id": "a-1"} | moment, "resume")
         assert caught.value.reason == "moment"
 
 
@@ -50,7 +50,7 @@ def test_what_starts_something_repeats_what_its_screen_had_shown():
 def test_anything_else_is_refused_by_the_gateway_and_by_the_bridge_s_side(payload):
     assert refusal(payload) == "stop"
     with pytest.raises(PayloadError):
-        read(Pressed, read_document(payload, False, "stop", requests.STOP.limit), "stop")
+        read(ButtonPress, read_document(payload, False, "stop", requests.STOP.limit), "stop")
 
 
 def test_a_retained_one_is_refused_because_its_age_is_unknown():

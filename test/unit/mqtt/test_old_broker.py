@@ -15,7 +15,7 @@ import pytest
 from processes import wait_until
 
 from construction_twin.mqtt.client import Broker, make_client, unique_id
-from construction_twin.mqtt.failures import ConnectionReport
+from construction_twin.mqtt.failures import ConnectionLog
 from construction_twin.mqtt.polled_client import PolledClient
 
 #: CONNACK of MQTT 3.1.1 with return code 1, "unacceptable protocol version"; the connection is closed behind it.
@@ -59,7 +59,7 @@ class ThreadClient:
 
     def __init__(self, broker: Broker):
         self.said: list[str] = []
-        self.report = ConnectionReport(broker, self.said.append)
+        self.report = ConnectionLog(broker, self.said.append)
         self.client = make_client(broker, unique_id("arm", "test"), "unused/test", direct=True)
         self.report.watch(self.client)
         listen(self.client, self.report)
@@ -79,7 +79,7 @@ class LoopClient:
 
     def __init__(self, broker: Broker):
         self.said: list[str] = []
-        self.report = ConnectionReport(broker, self.said.append)
+        self.report = ConnectionLog(broker, self.said.append)
         client = make_client(broker, unique_id("arm", "test"), "unused/test")
         listen(client, self.report)
         client.connect_async(broker.host, broker.port, broker.keepalive)
@@ -103,7 +103,7 @@ class LoopClient:
         self._thread.join(5.0)
 
 
-def listen(client, report: ConnectionReport) -> None:
+def listen(client, report: ConnectionLog) -> None:
     """Report as bridge and gateway do."""
     client.on_connect = lambda c, u, f, code, p: report.refused(code) if code.is_failure else report.connected(c, p)
     client.on_disconnect = lambda c, u, f, code, p: report.lost(code)

@@ -14,7 +14,7 @@ from processes import ROOT, BrokerProcess, wait_until
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.mqtt import fast_client
 from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
-from construction_twin.mqtt.failures import ConnectionReport
+from construction_twin.mqtt.failures import ConnectionLog
 from construction_twin.mqtt.fast_client import DirectClient, FastClient
 
 
@@ -73,7 +73,7 @@ def test_what_is_larger_than_the_broker_takes_is_not_sent_and_said_once_with_bot
     config.write_text((ROOT / "config" / "mosquitto.conf").read_text() + "\nmax_packet_size 2000\n")
     process, said, lost = BrokerProcess(config), [], []
     process.start()
-    report = ConnectionReport(Broker(port=process.port), said.append)
+    report = ConnectionLog(Broker(port=process.port), said.append)
     client = make_client(Broker(port=process.port), unique_id("a", "s"), "w/1", direct=True)
     client.on_connect = lambda c, u, f, code, properties: report.connected(c, properties)
     client.on_disconnect = lambda *rest: lost.append(rest)
@@ -99,7 +99,7 @@ def test_what_is_larger_than_the_broker_takes_is_not_sent_and_said_once_with_bot
 
 def test_where_somebody_else_says_why_there_never_was_a_connection_only_its_loss_is_said():
     said: list[str] = []
-    report = ConnectionReport(Broker(port=1), said.append, first=False)
+    report = ConnectionLog(Broker(port=1), said.append, first=False)
     report.failed(ConnectionRefusedError())
     assert "nobody listens there" in report.sentence and said == []
     report.connected(FastClient(CallbackAPIVersion.VERSION2), None)

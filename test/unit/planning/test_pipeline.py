@@ -184,7 +184,7 @@ def test_the_speed_scale_of_the_settings_is_the_default_for_all():
 @pytest.fixture
 def now(monkeypatch) -> Moment:
     """The moment at which requests arrive."""
-    monkeypatch.setattr(planner, "present", lambda: NOW)
+    monkeypatch.setattr(planner, "present_moment", lambda: NOW)
     return NOW
 
 

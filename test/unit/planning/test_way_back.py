@@ -72,7 +72,7 @@ def test_an_arm_beside_the_path_goes_straight_to_it_first(end):
     back = way_back(ExecutedPath(PATH, end), present, ROBOT)
     np.testing.assert_array_equal(back.positions[0], present)
     way = samples(back)
-    entry = ExecutedPath(PATH, end).entry(present)
+    entry = ExecutedPath(PATH, end).nearest_point(present)
     there = PATH.sample(entry.time)[0]
     row = int(np.argmin(np.abs(way - there).max(axis=1)))
     straight, _ = nearest_on_lines(present[None], there[None], way[0])

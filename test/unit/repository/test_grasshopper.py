@@ -112,7 +112,7 @@ class Cell:
         around = RobotContext(lambda: ROBOT.home)
         self.requests = ConsoleRequests(joints, {}, self.planner, None, around, connection, 2_000_000)
         self.feed.on_execution(Execution(text="IDLE", reason="at rest"))
-        connection.connect(self.feed.first, self.feed.publish_retained)
+        connection.connect(self.feed.first, self.feed.republish_retained)
         wait_until(self._client.is_connected, what="the node's connection")
         self._ended = threading.Event()
         self._threads = [threading.Thread(target=run) for run in (self._show, self._check)]

@@ -112,10 +112,10 @@ def test_the_mock_does_what_the_context_does(before, replies, held):
     graph.step()
     for reply in replies:
         if reply is None:
-            mock.miss()
+            mock.on_missed_reply()
             graph.channels[vacuum] = graph.channels.get(vacuum, False) and held
         else:
-            mock.take(reply)
+            mock.on_reply(reply)
             graph.channels = {enable: reply[0], vacuum: reply[1]}
         graph.step()
         assert mock.outputs["vacuum"] is graph.out[1]

@@ -121,7 +121,7 @@ def test_who_decides_what_is_commanded_never_reads_a_simulated_pose(twin):
     readers = {
         shell.name
         for shell in node_shells()
-        if "twin/joint_states" in {each.topic for each in (*shell.interface.reads, *shell.interface.hears)}
+        if "twin/joint_states" in {each.topic for each in (*shell.interface.polls, *shell.interface.subscribes)}
     }
     assert {"executor", "planner", "work", "console_node", "scene"} <= readers
     remapped = {

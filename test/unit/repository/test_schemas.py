@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import schemas
 
-from construction_twin.core.records import OR_NULL, SECONDS, Says, as_seconds
+from construction_twin.core.records import OR_NULL, SECONDS, SchemaKeywords, seconds_field
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Inner:
     """
 
     near: float
-    far: Annotated[float | None, Says(minimum=0, since=2)]
+    far: Annotated[float | None, SchemaKeywords(minimum=0, since=2)]
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,12 @@ class Outer:
     inner: Inner | None
     word: Literal["a", "b"]
     texts: Mapping[str, str]
-    units: Annotated[Mapping[str, str], Says(const={"length": "m"})]
+    units: Annotated[Mapping[str, str], SchemaKeywords(const={"length": "m"})]
     counts: Sequence[int] = ()
     flag: bool = False
     more: tuple[str, ...] = field(default_factory=tuple)
-    stamp: Annotated[int, SECONDS] = as_seconds()
-    begun: Annotated[int, OR_NULL] = as_seconds(None)
+    stamp: Annotated[int, SECONDS] = seconds_field()
+    begun: Annotated[int, OR_NULL] = seconds_field(None)
 
 
 def test_types_bounds_and_words_are_those_of_the_record():

@@ -12,7 +12,7 @@ from plan_samples import make_plan
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.reports import SessionRequest, SpeedChange
-from construction_twin.review.plan_under_review import APPROVED, REFUSED, Ending, Verdict
+from construction_twin.review.plan_under_review import APPROVED, REFUSED, ExecutionEnd, Verdict
 from construction_twin.review.record import ReviewLog
 from construction_twin.robot.plan import Clearance
 from construction_twin.robot.trajectory import Trajectory
@@ -44,7 +44,7 @@ def written(path) -> Path:
     log = ReviewLog(path, lambda: NOW)
     for number in range(4):
         log.append(verdict(f"p{number}"))
-    log.append(Ending(replace(PLAN, id="p3"), "finished", "as Ada said"))
+    log.append(ExecutionEnd(replace(PLAN, id="p3"), "finished", "as Ada said"))
     log.close()
     return path
 
@@ -87,7 +87,7 @@ class TestContent:
         assert "scene" not in lines(path)[0] and lines(path)[0]["verdict"] == "refused"
 
     def test_what_became_of_an_execution_is_a_record_of_its_own(self, log, path):
-        log.append(Ending(PLAN, "stopped", "stop requested"))
+        log.append(ExecutionEnd(PLAN, "stopped", "stop requested"))
         (record,) = lines(path)
         assert (record["record"], record["plan"], record["trajectory"]) == ("execution", "p", PLAN.hash)
         assert (record["outcome"], record["reason"]) == ("stopped", "stop requested")
@@ -103,7 +103,7 @@ class TestContinuation:
     def test_an_execution_that_the_executor_did_not_survive_gets_its_end_recorded(self, path):
         log = ReviewLog(path, lambda: NOW)
         log.append(verdict("p0"))
-        log.append(Ending(PLAN, "finished", "goal reached"))
+        log.append(ExecutionEnd(PLAN, "finished", "goal reached"))
         log.append(verdict("p1"))
         # what people did meanwhile is of no plan
         log.defer(SpeedChange("dora", 0.3, 1.0, ""))
@@ -121,7 +121,7 @@ class TestContinuation:
         log = ReviewLog(path, lambda: NOW)
         log.append(verdict())
         log.append(verdict(verdict=REFUSED, reason="decided already"))
-        log.append(Ending(PLAN, "finished", "goal reached"))
+        log.append(ExecutionEnd(PLAN, "finished", "goal reached"))
         log.close()
         ReviewLog(path, lambda: NOW).close()
         assert len(lines(path)) == 3

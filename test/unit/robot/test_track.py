@@ -140,7 +140,7 @@ def test_limits_tell_m_from_rad():
     assert limits.last_digits(3)[:2] == pytest.approx((1e-6, math.radians(1e-3)))
     assert limits.allowances(3)[:2] == pytest.approx((0.125, math.radians(125.0)))
     assert (
-        str(limits.refused("velocity", 0, 3.0, 2.5, "/s"))
+        str(limits.refusal("velocity", 0, 3.0, 2.5, "/s"))
         == "track: velocity check failed: 3000 mm/s against 2500 mm/s"
     )
-    assert "deg/s" in str(limits.refused("velocity", 1, 3.0, 2.5, "/s"))
+    assert "deg/s" in str(limits.refusal("velocity", 1, 3.0, 2.5, "/s"))

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 import pytest
 import rospy
-from bridge_bench import Refusals, open_ports
+from bridge_bench import Refusals, open_node_io
 from processes import ROOT, BrokerProcess, wait_until
 from site_broker import Listener, SiteBroker
 from unplugged import ask
@@ -47,7 +47,7 @@ class Cell:
         )  # fmt: skip
         self.client = make_client(self.broker, unique_id("kr120", "bridge"), self.topics.bridge_status, direct=True)
         self.refusals = Refusals(None)
-        ports = open_ports(self.refusals)
+        ports = open_node_io(self.refusals)
         self.physical, self.links = ports.publishers["physical/joint_states"], ports.publishers["link"]
         self.bridge = MqttBridge(
             settings, self.topics, gateway_config(ROBOT, {}), CODEC, self.broker, self.client, ports

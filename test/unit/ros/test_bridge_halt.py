@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 import pytest
 import rospy
-from bridge_bench import BridgeBench, Clocks, open_ports
+from bridge_bench import BridgeBench, Clocks, open_node_io
 from gateway_cell import CONFIG
 from processes import wait_until
 
@@ -68,7 +68,7 @@ def test_with_a_log_that_fails(armed, monkeypatch, place, name):
             # of a halt alone; what the link's own changes say may end the node as ever
             broken.undo()
         assert_halted(armed)
-    report = armed.bridge.report()
+    report = armed.bridge.diagnose()
     assert report.level == WARN and "nobody foresaw this" in report.sentence
     assert report.values["failed beside an act: the log"] > 0
 
@@ -79,7 +79,7 @@ def test_with_a_stop_that_cannot_be_sent_the_commands_end_and_the_person_is_told
         answer = armed.bridge.on_halt(None)
     assert not answer.success and "could not be sent to the gateway, which brakes by itself" in answer.message
     assert_halted(armed)
-    assert armed.bridge.report().values["failed beside an act: the stop for the gateway"] == 1
+    assert armed.bridge.diagnose().values["failed beside an act: the stop for the gateway"] == 1
 
 
 def test_with_a_log_that_hangs_the_link_is_polled_and_the_gateway_is_told(armed, clocks, monkeypatch):
@@ -136,16 +136,16 @@ def test_a_bridge_that_is_started_again_reads_what_the_one_before_it_waited_for(
     monkeypatch.setattr(mqtt_bridge, "config_of_link", lambda *_: CONFIG)
     monkeypatch.setattr(mqtt_bridge, "make_client", lambda *_, **__: bench.client)
     monkeypatch.setattr(mqtt_bridge, "connect", lambda *_, **__: None)
-    ports = open_ports(bench.diagnostics, waits="not armed within 5 s; call reset")
+    node_io = open_node_io(bench.diagnostics, waits="not armed within 5 s; call reset")
     axes = [SimpleNamespace(name=name, sign=1, offset=0.0) for name in CONFIG.axes]
     robot = SimpleNamespace(name="arm", joint_names=CONFIG.axes, axes=axes, linear=(False,) * 2)
     settings = mqtt_bridge.Settings(host="127.0.0.1", port=1, arm="mock", reset_timeout=1.0, max_state_age=0.1)
-    bench.bridge = mqtt_bridge.start(settings, robot, ports)
+    bench.bridge = mqtt_bridge.start(settings, robot, node_io)
     bench.connect()
     for _ in range(100):
         bench.step()
     assert bench.bridge.link is LinkState.NEEDS_RESET and not bench.client.controls
-    assert ports.publishers["link"][-1][0].reason == ports.parameters[mqtt_bridge.WAITS]
+    assert node_io.publishers["link"][-1][0].reason == node_io.parameters[mqtt_bridge.WAITS]
 
 
 def test_a_master_that_does_not_keep_that_is_shown(clocks):
@@ -157,8 +157,8 @@ def test_a_master_that_does_not_keep_that_is_shown(clocks):
     bench.bridge.on_halt(None)
     bench.step()
     said = "waits_for_person was not written, and what it says would not outlast this node (nobody there)"
-    wait_until(lambda: said in bench.bridge.report().sentence)
-    assert bench.bridge.report().level == WARN
+    wait_until(lambda: said in bench.bridge.diagnose().sentence)
+    assert bench.bridge.diagnose().level == WARN
 
 
 def test_a_new_launch_begins_without_waiting():
@@ -183,4 +183,4 @@ def test_in_mirror_mode_with_a_master_that_hangs_and_then_fails(clocks):
     assert_halted(bench)
     assert asked.wait(10.0)
     hangs.set()
-    wait_until(lambda: "mirror_mode was not written" in bench.bridge.report().sentence, what="the warning")
+    wait_until(lambda: "mirror_mode was not written" in bench.bridge.diagnose().sentence, what="the warning")

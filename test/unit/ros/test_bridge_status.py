@@ -50,7 +50,7 @@ def test_playout_mode_and_intruder_reach_link_and_diagnostics(bench):
     assert shown["last_refusal"].startswith("arm: ")
     # and beside them what was there before
     assert (shown["refused_arm"], shown["decimals"]) == ("1", "3")
-    values = bench.bridge.report().values
+    values = bench.bridge.diagnose().values
     assert {f"gateway {name}" for name in shown} - set(values) == {
         "gateway decimals",
         "gateway reply_us_max",
@@ -62,13 +62,13 @@ def test_playout_mode_and_intruder_reach_link_and_diagnostics(bench):
 def test_what_the_controller_says_against_a_motion_stands_in_link_and_diagnostics(bench):
     bench.connect()
     stopped = RsiStatus(3, 4, 100.0)
-    status = following().gateway.status() | {"controller": stopped.report()}
+    status = following().gateway.status() | {"controller": stopped.status_fields()}
     shown = bench.shown(status)
     assert (shown["controller_mode"], shown["controller_program"]) == ("AUT", "STOP")
     assert (shown["controller_override_percent"], shown["controller_sentence"]) == ("100", stopped.sentence)
     assert bench.links[-1][0].reason.endswith(f"; {stopped.sentence}")
-    assert bench.bridge.report().sentence.endswith(f"; {stopped.sentence}")
-    bench.shown(status | {"controller": RsiStatus(3, 3, 100.0).report()})
+    assert bench.bridge.diagnose().sentence.endswith(f"; {stopped.sentence}")
+    bench.shown(status | {"controller": RsiStatus(3, 3, 100.0).status_fields()})
     assert "STOP" not in bench.links[-1][0].reason
 
 
@@ -94,7 +94,7 @@ def test_a_count_of_refused_datagrams_that_grows_is_no_news(bench):
 
 def test_what_a_controller_said_before_its_gateway_went_is_not_told(bench):
     bench.connect()
-    status = following().gateway.status() | {"controller": RsiStatus(1).report()}
+    status = following().gateway.status() | {"controller": RsiStatus(1).status_fields()}
     bench.shown(status)
     bench.shown(status | {"state": "offline", "reason": "gateway stopped"})
     assert bench.links[-1][0].text == "GATEWAY_OFFLINE" and "T1" not in bench.links[-1][0].reason
@@ -142,7 +142,7 @@ def test_counters_may_grow_in_other_threads_while_they_are_reported(clocks, monk
         for _ in range(300):
             clocks.run(1.1)
             bench.bridge.poll()
-            bench.bridge.report()
+            bench.bridge.diagnose()
     finally:
         ended.set()
         sys.setswitchinterval(interval)

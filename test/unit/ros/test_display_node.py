@@ -25,7 +25,7 @@ from construction_twin.review.rehearsal_report import (
     AxisLoad,
     RehearsalReport,
     RehearsedContact,
-    finished,
+    with_hash,
 )
 from construction_twin.robot.plan import Plan
 from construction_twin.ros.messages.convert import plan_to_msg, pose_from_transform_msg
@@ -34,7 +34,7 @@ from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.scene_convert import scene_to_msg
 from construction_twin.ros.nodes import display as module
 from construction_twin.ros.nodes.display import NODE, Settings
-from construction_twin.ros.shared.frames import PUBLISHERS, SHOWN
+from construction_twin.ros.shared.frames import DISPLAY_ONLY, PUBLISHERS
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
 
@@ -60,23 +60,23 @@ class Bench:
         given = Settings(**{"arm": "mock", "twin": "kinematic", "servo_model": ""} | settings)
         unplugged = Unplugged(monkeypatch, NODE, given, dataclasses.replace(ROBOT, name="kr120"))
         self.callbacks, self.services, self.refused = unplugged.callbacks, unplugged.services, unplugged.refused
-        self.published, self.report = unplugged.published, unplugged.node.report
+        self.published, self.diagnose = unplugged.published, unplugged.node.diagnose
         self.messages = unplugged.published["plan_markers"]
         self._move_ghost, self._show_sync = unplugged.timers
 
-    def hear_plan(self, plan: Plan) -> None:
+    def receive_plan(self, plan: Plan) -> None:
         path = np.zeros((len(plan.trajectory.times), 3))
         self.callbacks["plan"](plan_to_msg(plan, "kr120/twin/base_link", path, CHANGES if plan.segments else ()))
 
-    def hear_scene(self, scene: Scene) -> None:
+    def receive_scene(self, scene: Scene) -> None:
         self.callbacks["scene"](scene_to_msg(scene, rospy.Time(1), "kr120/twin/base_link"))
 
-    def hear_twin(self, now: float, cycle: int, q=THERE) -> None:
+    def receive_twin(self, now: float, cycle: int, q=THERE) -> None:
         """Hear a pose of the twin, the one of a cycle of 20 ms."""
         self.now = now
         self.callbacks["twin/joint_states"](5 * NANOSECONDS + cycle * PERIOD, q)
 
-    def hear_sync(self, state: int) -> None:
+    def receive_sync(self, state: int) -> None:
         self.callbacks["sync"](Sync(state=state, reason="joint_a1 differs"))
         self._show_sync(None)
 
@@ -85,7 +85,7 @@ class Bench:
         self._move_ghost(None)
         self._show_sync(None)
 
-    def hear_rehearsal(self, message: Rehearsal) -> None:
+    def receive_rehearsal(self, message: Rehearsal) -> None:
         self.callbacks["rehearsal"](message)
 
     @property
@@ -114,14 +114,14 @@ def plain(monkeypatch) -> Bench:
 
 def test_the_twin_s_pose_is_published_with_velocities_and_its_own_stamp(plain):
     sent = plain.published["velocities/joint_states"]
-    assert plain.report().sentence == "the twin has no pose yet" and plain.report().level != 0
-    plain.hear_twin(107.0, 0)
-    plain.hear_twin(107.001, 1, tuple(HOME + 0.01))
+    assert plain.diagnose().sentence == "the twin has no pose yet" and plain.diagnose().level != 0
+    plain.receive_twin(107.0, 0)
+    plain.receive_twin(107.001, 1, tuple(HOME + 0.01))
     assert (sent[1].header.stamp.to_nsec(), tuple(sent[1].name)) == (5 * NANOSECONDS + PERIOD, ROBOT.joint_names)
     np.testing.assert_allclose(sent[1].position, HOME + 0.01)
     np.testing.assert_allclose(sent[1].velocity, 0.5)
     # the thread reads on when the next one is of interest
-    assert plain.slept == [0.0, pytest.approx(0.019)] and plain.report().level == 0
+    assert plain.slept == [0.0, pytest.approx(0.019)] and plain.diagnose().level == 0
 
 
 def test_a_twin_that_falls_silent_in_mid_motion_is_shown_at_rest_once_and_watched_again_when_it_is_back(plain):
@@ -129,15 +129,15 @@ def test_a_twin_that_falls_silent_in_mid_motion_is_shown_at_rest_once_and_watche
     plain.at(100.0)
     assert not sent, "it never had a pose"
     for back in (0, 1):
-        plain.hear_twin(110.0 + back, 100 * back)
-        plain.hear_twin(110.02 + back, 100 * back + 1, tuple(HOME + 0.01))
+        plain.receive_twin(110.0 + back, 100 * back)
+        plain.receive_twin(110.02 + back, 100 * back + 1, tuple(HOME + 0.01))
         plain.at(110.26 + back)
         assert len(sent) == 3 * back + 2 and max(sent[-1].velocity) > 0.4, "not silent yet"
         for later in (110.28, 110.5, 110.9):
             plain.at(later + back)
         assert len(sent) == 3 * back + 3 and tuple(sent[-1].velocity) == (0.0,) * 6
         assert (sent[-1].position, sent[-1].header.stamp) == (sent[-2].position, sent[-2].header.stamp)
-        assert "silent" in plain.report().sentence and plain.report().level != 0
+        assert "silent" in plain.diagnose().sentence and plain.diagnose().level != 0
 
 
 # -- tf
@@ -166,7 +166,7 @@ def test_each_tree_that_is_shown_is_made_of_one_stream_and_stands_in_the_world(m
     (static,) = bench.published["/tf_static"]
     roots = {each.child_frame_id.split("/")[1] for each in static.transforms if each.header.frame_id == "world"}
     # what is believed of tf is all but what is only shown
-    assert roots == {*PUBLISHERS, *streams} and roots - {*PUBLISHERS} <= {*SHOWN}
+    assert roots == {*PUBLISHERS, *streams} and roots - {*PUBLISHERS} <= {*DISPLAY_ONLY}
     assert {"physical/joint_states", "twin/effort", "expected/joint_states"} & bench.callbacks.keys() == {
         *streams.values()
     }
@@ -192,7 +192,7 @@ def test_the_frames_lead_to_where_forward_kinematics_has_the_tool(plain):
 def test_the_ghost_hides_in_the_twin_and_keeps_its_frames_with_it(plain):
     plain.at(100.0)
     assert not plain.published["preview/joint_states"], "there is nothing to hide in"
-    plain.hear_twin(100.0, 0)
+    plain.receive_twin(100.0, 0)
     plain.at(100.04)
     assert plain.published["preview/joint_states"] == [(7 * NANOSECONDS, THERE)]
     frames = plain.published["/tf"][-1].transforms
@@ -204,8 +204,8 @@ def test_the_ghost_hides_in_the_twin_and_keeps_its_frames_with_it(plain):
 
 
 def test_the_arm_has_the_colour_of_the_state_until_nothing_is_heard_of_it(plain):
-    plain.hear_sync(Sync.HOLDING)
-    plain.hear_sync(Sync.HOLDING)
+    plain.receive_sync(Sync.HOLDING)
+    plain.receive_sync(Sync.HOLDING)
     plain.at(101.1)
     held, silent = plain.published["sync_markers"]
     for message, state in ((held, SyncState.HOLDING), (silent, SyncState.WAITING)):
@@ -218,7 +218,7 @@ def test_the_arm_has_the_colour_of_the_state_until_nothing_is_heard_of_it(plain)
 
 
 def test_a_state_that_nobody_knows_is_refused(plain):
-    plain.hear_sync(99)
+    plain.receive_sync(99)
     assert [reason for reason, _ in plain.refused] == ["sync"]
 
 
@@ -227,8 +227,8 @@ def test_a_state_that_nobody_knows_is_refused(plain):
 
 @pytest.fixture
 def bench(plain) -> Bench:
-    plain.hear_scene(SCENES[0])
-    plain.hear_plan(work_plan(SCENES))
+    plain.receive_scene(SCENES[0])
+    plain.receive_plan(work_plan(SCENES))
     return plain
 
 
@@ -280,7 +280,7 @@ def rehearsal(plan: Plan, **changes) -> Rehearsal:
         plan.id, plan.hash, plan.scene, state=PASSED, axes=axes, contacts=(contact,), worst_time=0.1,
         worst_pose=tuple(HOME.tolist()),
     )  # fmt: skip
-    return to_msg(finished(dataclasses.replace(report, **changes), 0.1), Rehearsal)
+    return to_msg(with_hash(dataclasses.replace(report, **changes), 0.1), Rehearsal)
 
 
 PARTS = [
@@ -295,7 +295,7 @@ def plain_plan() -> Plan:
 
 @pytest.fixture
 def rehearsed(plain) -> Bench:
-    plain.hear_scene(SCENES[0])
+    plain.receive_scene(SCENES[0])
     return plain
 
 
@@ -303,11 +303,11 @@ def rehearsed(plain) -> Bench:
 def test_the_rehearsal_of_the_plan_under_review_is_drawn_whichever_comes_first(rehearsed, first):
     plan = plain_plan()
     if first == "plan":
-        rehearsed.hear_plan(plan)
-    rehearsed.hear_rehearsal(rehearsal(plan))
+        rehearsed.receive_plan(plan)
+    rehearsed.receive_rehearsal(rehearsal(plan))
     if first == "rehearsal":
         assert rehearsed.messages == []
-        rehearsed.hear_plan(plan)
+        rehearsed.receive_plan(plan)
     assert rehearsed.namespaces() == PARTS
     markers = rehearsed.rehearsal
     assert {marker.header.frame_id for marker in markers} == {"kr120/twin/base_link"}
@@ -322,19 +322,19 @@ def test_the_rehearsal_of_the_plan_under_review_is_drawn_whichever_comes_first(r
 
 def test_one_that_is_not_what_its_hash_says_or_is_of_another_arm_is_refused(rehearsed):
     plan = plain_plan()
-    rehearsed.hear_plan(plan)
+    rehearsed.receive_plan(plan)
     forged = rehearsal(plan)
     forged.state = FAILED
-    rehearsed.hear_rehearsal(forged)
-    rehearsed.hear_rehearsal(rehearsal(plan, worst_pose=(0.0, 0.0)))
+    rehearsed.receive_rehearsal(forged)
+    rehearsed.receive_rehearsal(rehearsal(plan, worst_pose=(0.0, 0.0)))
     assert [reason for reason, _ in rehearsed.refused] == ["rehearsal", "rehearsal"]
     assert rehearsed.rehearsal == []
 
 
 def test_the_ghost_of_a_rehearsal_carries_what_the_arm_carries_then(rehearsed):
     plan = work_plan(SCENES)
-    rehearsed.hear_plan(plan)
-    rehearsed.hear_rehearsal(rehearsal(plan))
+    rehearsed.receive_plan(plan)
+    rehearsed.receive_rehearsal(rehearsal(plan))
     assert "rehearsal_carried" not in rehearsed.namespaces()
-    rehearsed.hear_rehearsal(rehearsal(plan, worst_time=plan.segments[0].end + 0.01))
+    rehearsed.receive_rehearsal(rehearsal(plan, worst_time=plan.segments[0].end + 0.01))
     assert "rehearsal_carried" in rehearsed.namespaces()

@@ -33,7 +33,7 @@ from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.segment_run import ToolOrder
 from construction_twin.robot.segments import Switch
 from construction_twin.ros.nodes import executor as module
-from construction_twin.ros.shared.diagnostics import ERROR, LINES_KEPT, DeferredLog
+from construction_twin.ros.shared.diagnostics import ERROR, MAX_LINES, DeferredLog
 
 
 @pytest.fixture
@@ -73,8 +73,8 @@ def test_who_has_armed_a_bare_plc_is_recorded_once_and_with_the_verdict(world, t
 
 
 def test_who_has_asked_for_a_session_or_set_the_speed_limit_is_recorded(world, tmp_path):
-    world.hear("session_request", SessionRequest(verb="reset", person="ada", lifts="stop 3"))
-    world.hear("speed_change", SpeedChange(person="dora", limit=0.6, before=0.3, whose="bob"))
+    world.receive("session_request", SessionRequest(verb="reset", person="ada", lifts="stop 3"))
+    world.receive("speed_change", SpeedChange(person="dora", limit=0.6, before=0.3, whose="bob"))
     world.node.do_background_work()
     session, speed = records(tmp_path)
     assert (session["record"], session["verb"], session["person"], session["lifts"]) == (
@@ -383,7 +383,7 @@ class TestAge:
     def test_a_pause_whose_moment_cannot_be_read_is_carried_out_and_no_screen_undoes_it(self, world, monkeypatch):
         world.playing()
         with monkeypatch.context() as broken:
-            broken.setattr(module, "present", lambda: 1 // 0)
+            broken.setattr(module, "present_moment", lambda: 1 // 0)
             assert world.ask("pause").success
             world.run(1)
         world.run(1)
@@ -402,7 +402,7 @@ class TestAge:
 
 def test_a_full_log_forgets_the_oldest_lines():
     log, lines = DeferredLog(), []
-    for k in range(LINES_KEPT + 5):
+    for k in range(MAX_LINES + 5):
         log.add(lines.append, k)
     log.flush()
     assert lines[0] == 5 and log.flush() is None
@@ -512,7 +512,7 @@ class WorkWorld(World):
             said = self.messages("execution")
             if self.edits and said and said[-1].wants_scene:
                 self.node.on_scene(Scene(hash=said[-1].expected_scene))
-            self.node.keep_engagement()
+            self.node.save_engagement()
 
     def messages(self, topic: str) -> list:
         """Return what was published on a topic."""
@@ -548,7 +548,7 @@ class WorkWorld(World):
         """Approve the way back."""
         left = self.executor.engagement.present
         pose = [message[1] for name, message in self.said if name == "next/joint_states"][-1]
-        motion = motion_back(left.path, left.path.entry(pose).time)
+        motion = motion_back(left.path, left.path.nearest_point(pose).time)
         self.offer(plan_back(motion, left.requires(self.executor.tool), "5ce1e", asked_ns=self.booted + NANOSECONDS))
         assert self.review(self.executor.under_review.plan).success
 
@@ -598,8 +598,8 @@ class TestWorkPlan:
         assert verdict["trajectory"] == plan.hash != plan.trajectory.content_hash()
 
     def test_a_report_that_makes_no_sense_is_refused_and_counted(self, work):
-        work.hear("tool", ToolState(known=True, inputs=["gripped"]))
-        work.hear("tool", ToolState(known=True, switch_ids=["a"], switch_states=[9], switch_reasons=[""]))
+        work.receive("tool", ToolState(known=True, inputs=["gripped"]))
+        work.receive("tool", ToolState(known=True, switch_ids=["a"], switch_states=[9], switch_reasons=[""]))
         assert [reason for reason, _ in work.refused] == ["tool", "tool"] and not work.executor.tool.known
 
     def test_in_an_engaged_segment_the_disk_knows_it_and_outside_not(self, work, tmp_path):
@@ -642,9 +642,9 @@ class TestEngaged:
         again = WorkWorld(monkeypatch, tmp_path)
         assert again.executor.engagement.engaged
         assert again.executor.engagement.present.reason == "the executor ended before the plan did"
-        again.node.keep_engagement()
+        again.node.save_engagement()
         assert again.messages("engagement")[-1].engaged
-        assert again.node.report().sentence.startswith("the arm was left in engaged segment 'lift' of plan w")
+        assert again.node.diagnose().sentence.startswith("the arm was left in engaged segment 'lift' of plan w")
 
     def test_is_released_in_a_person_s_name_and_recorded(self, work, tmp_path):
         work.left_in_lift()
@@ -688,5 +688,5 @@ class TestEngaged:
         )
         work.run(100)
         assert work.executor.state is ExecutorState.AT_BOUNDARY and work.executor.segment_run.number == 0
-        report = work.node.report()
+        report = work.node.diagnose()
         assert report.level == ERROR and str(tmp_path / "reviews_engagement.json") in report.sentence

@@ -38,7 +38,7 @@ class World:
         """Let these nodes, and no others, be connected."""
         self.connections[:] = [SimpleNamespace(callerid_pub=name) for name in names]
 
-    def say(self, caller: str, *frames: str, topic: str = "/tf", x: float = 0.0) -> None:
+    def publish(self, caller: str, *frames: str, topic: str = "/tf", x: float = 0.0) -> None:
         """Let a node publish frames."""
         message = TFMessage([TransformStamped(child_frame_id=frame) for frame in frames])
         for transform in message.transforms:
@@ -81,10 +81,10 @@ def world(monkeypatch):
 def test_a_robot_s_frames_are_believed_from_its_own_nodes_only(world, topic, tree, nodes, slash):
     frames = [f"{slash}kr120/{tree}/link_{k}" for k in range(3)]
     for own in nodes:
-        world.say(f"/kr120/{own}", *frames, topic=topic, x=1.0)
+        world.publish(f"/kr120/{own}", *frames, topic=topic, x=1.0)
     assert world.refused == [] and set(world.heard.values()) == {1.0} and len(world.heard) == 3
     for stranger in (PLAYER, f"/kr120_2/{nodes[0]}", f"/{nodes[0]}", ""):
-        world.say(stranger, *frames, topic=topic, x=9.0)
+        world.publish(stranger, *frames, topic=topic, x=9.0)
     assert set(world.heard.values()) == {1.0}
     # one line for a message, not one for each of its frames
     assert [reason for reason, _ in world.refused] == ["publisher"] * 4
@@ -95,23 +95,23 @@ def test_a_robot_s_frames_are_believed_from_its_own_nodes_only(world, topic, tre
 
 def test_a_frame_of_the_cell_has_one_publisher_until_it_is_gone(world):
     world.connect("/site/table", PLAYER)
-    world.say("/site/table", "table", topic="/tf_static", x=1.0)
-    world.say(PLAYER, "table", "chair", topic="/tf_static", x=9.0)
+    world.publish("/site/table", "table", topic="/tf_static", x=1.0)
+    world.publish(PLAYER, "table", "chair", topic="/tf_static", x=9.0)
     assert world.heard == {"table": 1.0, "chair": 9.0}
     ((reason, sentence),) = world.refused
     assert reason == "publisher"
     assert sentence == f"message from {PLAYER}; /site/table publishes the frame table on /tf: end one of the two"
     # the site's publisher is started anew, under another name
     world.connect("/site/table_2")
-    world.say("/site/table_2", "table", topic="/tf_static", x=2.0)
+    world.publish("/site/table_2", "table", topic="/tf_static", x=2.0)
     assert world.heard["table"] == 2.0 and len(world.refused) == 1
-    world.say("/site/table_2", "table", topic="/tf_static", x=3.0)
+    world.publish("/site/table_2", "table", topic="/tf_static", x=3.0)
     assert world.heard["table"] == 3.0
 
 
 @pytest.mark.parametrize("frame", ["map", "model", "kr120/table", "twin/link_1"])
 def test_what_is_of_no_robot_s_tree_may_come_from_anybody(world, frame):
-    world.say("/anybody", frame)
+    world.publish("/anybody", frame)
     assert set(world.heard) == {frame} and world.refused == []
 
 
@@ -119,8 +119,8 @@ def test_what_is_of_no_robot_s_tree_may_come_from_anybody(world, frame):
 @pytest.mark.parametrize("tree", ["simulated", "expected"])
 @pytest.mark.parametrize("node", ["/kr120/display", PLAYER])
 def test_nothing_is_looked_up_in_a_tree_that_is_only_shown_and_hearing_it_is_no_fault(world, topic, tree, node):
-    world.say(node, f"kr120/{tree}/tool0", f"/kr120/{tree}/link_1", topic=topic)
+    world.publish(node, f"kr120/{tree}/tool0", f"/kr120/{tree}/link_1", topic=topic)
     assert world.heard == {} and world.refused == []
     # a frame of that name that is of no robot's tree is as any other
-    world.say(PLAYER, tree, f"site/{tree}", topic=topic, x=1.0)
+    world.publish(PLAYER, tree, f"site/{tree}", topic=topic, x=1.0)
     assert world.heard == {tree: 1.0, f"site/{tree}": 1.0}

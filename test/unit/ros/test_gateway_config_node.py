@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from construction_twin.core.files import write_whole
+from construction_twin.core.files import write_atomically
 from construction_twin.gateway.stop_file import StopFile
 from construction_twin.ros.nodes.rsi_gateway import MOCK, NEW_MOCK, stop_file
 
@@ -10,7 +10,7 @@ from construction_twin.ros.nodes.rsi_gateway import MOCK, NEW_MOCK, stop_file
 def test_a_second_start_replaces_the_file_and_leaves_nothing_else(tmp_path):
     file = tmp_path / "ros" / "kr120_rsi_gateway.json"
     for text in ("first", "second"):
-        write_whole(file, text)
+        write_atomically(file, text)
     assert file.read_text() == "second"
     assert list(file.parent.iterdir()) == [file]
 
@@ -24,7 +24,7 @@ def test_a_real_arm_s_stop_outlasts_a_simulation_and_another_master(tmp_path):
 
     def stop(arm):
         stops = StopFile(stop_file(arm, config, "kr120"))
-        stops.keep(f"{arm} stopped")
+        stops.save(f"{arm} stopped")
         stops.close()
 
     stop("real")

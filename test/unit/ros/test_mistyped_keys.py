@@ -15,7 +15,7 @@ from scene_samples import kr120
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.validation import configuration_error
 from construction_twin.extensions.work.process import read_recipes
-from construction_twin.extensions.work.site import read_site
+from construction_twin.extensions.work.work_cell import read_work_cell
 from construction_twin.robot.description import load_robot
 from construction_twin.robot.tool import read_tool
 from construction_twin.robot.urdf import expand_xacro
@@ -75,8 +75,8 @@ READERS: dict[str, Callable[[Path], object]] = {
     "work/timber_panel_scene.yaml": lambda path: read_scene(str(path)),
     "cell_two_robots.yaml": lambda path: load_cell(yaml.safe_load(path.read_text())),
     "tools/vacuum_frame.yaml": lambda path: read_tool(str(path)),
-    "work/timber_panel.yaml": lambda path: read_site(str(path)),
-    "work/brick_wall.yaml": lambda path: read_site(str(path)),
+    "work/timber_panel.yaml": lambda path: read_work_cell(str(path)),
+    "work/brick_wall.yaml": lambda path: read_work_cell(str(path)),
     "work/recipes.yaml": lambda path: read_recipes(str(path)),
     "experiment.yaml": experiment,
     "scenarios/stall_replan.yaml": lambda path: make_scenario("test", yaml.safe_load(path.read_text()).get("scenario")),

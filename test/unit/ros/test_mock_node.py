@@ -63,7 +63,7 @@ class MockNode:
         self.pc = Pc()
         self.statuses, self.lines, self.ends, self.poses = [], [], [], []
         #: Whether somebody hears the poses.
-        self.is_heard = False
+        self.has_subscribers = False
         host, port = self.pc.socket.getsockname()
         settings = {"ethernet_xml": ETHERNET, "timeout": 2500} | settings
         chosen = MockSettings(gateway_host=host, gateway_port=port, **settings)
@@ -74,7 +74,7 @@ class MockNode:
         self._interval = sys.getswitchinterval()
         ports = SimpleNamespace(publishers={"~joint_states": self, "~status": self})
         node = module.MockRsiNode(chosen, robot, ports)
-        self.report = node.report
+        self.diagnose = node.diagnose
         self._loop = threading.Thread(target=node.run, daemon=True)
         self.pc.start()
         self._loop.start()
@@ -119,13 +119,13 @@ def test_log_status_and_diagnostics_say_why_replies_are_refused_and_that_they_co
     assert node.wait_for_line("reply refused").endswith(f": reply refused: {NO_AK}")
     # the first status may come after the first line
     wait_until(lambda: node.statuses and node.statuses[-1]["last_refusal"] == NO_AK)
-    report = node.report()
+    report = node.diagnose()
     assert (report.level, report.values["last_refusal"]) == (WARN, NO_AK)
     assert report.sentence == f"RSI session 1 running, replies are refused: {NO_AK}"
     assert node.statuses[-1]["state"] == "running"
     node.pc.encoder = SensorEncoder("ImFree", AXES)
     node.wait_for_line("replies count again")
-    wait_until(lambda: node.report().level == OK, 60.0)
+    wait_until(lambda: node.diagnose().level == OK, 60.0)
     # a reply that this machine made late may be refused as well, but nothing is said cycle by cycle
     assert sum(NO_AK in line for line in node.lines) <= 2
 
@@ -135,9 +135,9 @@ def test_a_stop_for_command_velocity_says_value_and_limit_in_log_status_and_diag
     wait_until(lambda: node.statuses and node.statuses[-1]["counters"]["replies"] >= 20)
     node.pc.correction = (0.1, *ZERO[1:])
     line = node.wait_for_line("stopped: ")
-    assert line == f"RSI session 1 stopped: {(reason := node.report().sentence.removeprefix('RSI stopped: '))}"
+    assert line == f"RSI session 1 stopped: {(reason := node.diagnose().sentence.removeprefix('RSI stopped: '))}"
     assert reason == f"command velocity A1: {5.729578 / CYCLE:.6g} deg/s, limit 246 deg/s (2 times 123 deg/s)"
-    assert node.report().level == ERROR
+    assert node.diagnose().level == ERROR
     wait_until(lambda: node.statuses[-1]["reason"] == reason)
 
 
@@ -146,7 +146,7 @@ def test_poses_are_handed_over_while_somebody_hears_them(start):
     wait_until(lambda: node.statuses and node.statuses[-1]["counters"]["replies"] >= 20)
     # with a status that is due there is a pose
     assert len(node.poses) < 20
-    node.is_heard = True
+    node.has_subscribers = True
     wait_until(lambda: len(node.poses) > 100)
     stamps = [stamp for stamp, _ in node.poses[-50:]]
     assert stamps == sorted(stamps) and all(len(q) == 6 for _, q in node.poses)

@@ -21,8 +21,8 @@ from construction_twin.monitor.settings import GateSettings
 from construction_twin.monitor.states import SyncEvent, SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.ros.nodes import pca_monitor as module
-from construction_twin.ros.shared.diagnostics import OK, Report
-from construction_twin.ros.shared.stop_memory import PARAMETER
+from construction_twin.ros.shared.diagnostics import OK, Diagnosis
+from construction_twin.ros.shared.saved_parameter import PARAMETER
 from construction_twin.ros.transport.joint_stream import from_time, to_time
 from construction_twin.servo.model import JointServo, ServoModel
 
@@ -71,14 +71,14 @@ class World:
         codec = JointStringCodec.of(ROBOT, 6)
         self.gate = Gate(MotionLimits.of(ROBOT), codec, GateSettings(**SETTINGS), self.steady, self.servos)
         self.patch(module, "make_gate", lambda *_: self.gate)
-        log = SimpleNamespace(add=self.report, flush=lambda: None, problem="", values=dict)
+        log = SimpleNamespace(add=self.report, flush=lambda: None, fault="", values=dict)
         self.patch(module, "TransitionLog", lambda *_: log)
-        self.patch(module, "SpeedLimitService", lambda *_: SimpleNamespace(report=lambda: Report(OK, "")))
+        self.patch(module, "SpeedLimitService", lambda *_: SimpleNamespace(diagnose=lambda: Diagnosis(OK, "")))
         self.patch(rospy, "ServiceProxy", lambda *_: self.plan_to_joints)
         ports = SimpleNamespace(
             publishers=self.publishers if sync is None else self.publishers | {"sync": sync},
             parameters={PARAMETER: self.parameters.get(PARAMETER, "")},
-            keeper=lambda name: lambda value: self.parameters.update({name: value}),
+            parameter_writer=lambda name: lambda value: self.parameters.update({name: value}),
             diagnostics=SimpleNamespace(refuse=lambda *said: self.refused.append(said)),
         )
         given = {"arm": "mock", "servo_model": "", "decimals": 6, "transition_file": "t"}
@@ -226,7 +226,7 @@ class TestSettings:
 
     def test_are_not_even_read_unless_a_named_person_asks_at_rest(self, world, monkeypatch):
         node = opened(world)
-        monkeypatch.setattr(GateSettings, "changed", lambda *_: pytest.fail("read the settings"))
+        monkeypatch.setattr(GateSettings, "with_changes", lambda *_: pytest.fail("read the settings"))
         assert "operator" in world.change(node, "{policy: stop}", "").message
         node.on_execution(Execution(state=Execution.PLAYING, text="PLAYING", plan_id="p"))
         assert "plan p" in world.change(node, "{policy: stop}").message
@@ -401,11 +401,11 @@ class TestStopped:
             publishers={each.topic: world.topic(each.topic) for each in module.INTERFACE.publishes},
             diagnostics=SimpleNamespace(refuse=lambda *said: None),
             parameters={each.name: each.default for each in module.INTERFACE.parameters} | {PARAMETER: "s1"},
-            keeper=lambda name: lambda session: None,
+            parameter_writer=lambda name: lambda session: None,
         )
         given = {"arm": "mock", "servo_model": "", "decimals": 3, "transition_file": str(tmp_path / "t.jsonl")}
         node = module.PcaMonitorNode(module.Settings(**SETTINGS | given), ROBOT, ports)
-        assert node.report().sentence.startswith("STOPPED: ")
+        assert node.diagnose().sentence.startswith("STOPPED: ")
 
     def test_is_forgotten_with_the_session(self, world):
         node = self.stop(world)
@@ -439,7 +439,7 @@ def test_it_publishes_where_the_servos_should_have_the_arm_and_says_that_it_judg
     node = known_servos(world)
     published = [q for name, q in world.said if name == "expected/joint_states"]
     assert len(published) > 60 and published[-1] == pytest.approx(HOME, abs=1e-6)
-    values = node.report().values
+    values = node.diagnose().values
     assert values["servo model"] == "judges" and values["compared with it"] > 0
 
 
@@ -447,7 +447,7 @@ def test_without_a_model_it_publishes_none_and_says_so(world):
     node = world.start()
     cycles(world, node, HOME, 60)
     assert [name for name, _ in world.said if name == "expected/joint_states"] == []
-    assert node.report().values["servo model"].startswith("none")
+    assert node.diagnose().values["servo model"].startswith("none")
 
 
 def test_it_publishes_expected_poses_only_with_a_model_and_an_arm():

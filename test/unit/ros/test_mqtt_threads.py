@@ -10,7 +10,7 @@ import socket
 import threading
 
 import pytest
-from bridge_bench import BridgeBench, Clocks, open_ports
+from bridge_bench import BridgeBench, Clocks, open_node_io
 from gateway_cell import CONFIG
 
 from construction_twin.mqtt.client import Broker, make_client
@@ -83,7 +83,7 @@ def test_an_error_in_a_callback_reaches_the_hook_that_ends_the_node(monkeypatch,
     address = Broker("127.0.0.1", broker.port)
     client = make_client(address, "bridge", "twin/arm/bridge/status", direct=direct)
     codec = JointStringCodec(len(CONFIG.axes), CONFIG.decimals)
-    bridge = MqttBridge(settings, Topics("twin", "arm"), CONFIG, codec, address, client, open_ports(None))
+    bridge = MqttBridge(settings, Topics("twin", "arm"), CONFIG, codec, address, client, open_node_io(None))
     bridge.connect()
     try:
         error = caught()

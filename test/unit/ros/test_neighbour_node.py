@@ -45,18 +45,18 @@ class Arm:
         )
         self.listener = ArmListener(dataclasses.replace(ROBOT, name=name), "/", lambda *said: self.refused.append(said))
         self._name = name
-        self.say("scene", scene_to_msg(SceneValue((), 0.0), to_time(0), "base_link"))
+        self.publish("scene", scene_to_msg(SceneValue((), 0.0), to_time(0), "base_link"))
         self.follow(ExecutorState.IDLE)
 
-    def say(self, topic: str, message) -> None:
+    def publish(self, topic: str, message) -> None:
         self._takes[f"/{self._name}/{topic}"](message)
 
     def offer(self, made: Plan, *changes: SceneChange) -> None:
-        self.say("plan", plan_to_msg(made, "base_link", np.zeros((0, 3)), changes))
+        self.publish("plan", plan_to_msg(made, "base_link", np.zeros((0, 3)), changes))
 
     def follow(self, state: ExecutorState, made: Plan | None = None, since: int = 0) -> None:
         plan_id = "" if made is None else made.id
-        self.say("execution", Execution(state=state.value, plan_id=plan_id, plan_start=to_time(since)))
+        self.publish("execution", Execution(state=state.value, plan_id=plan_id, plan_start=to_time(since)))
 
 
 class Bench:
@@ -88,17 +88,17 @@ def bench(monkeypatch) -> Bench:
 
 def test_without_a_plan_there_is_no_verdict(bench):
     bench.node.check()
-    assert not bench.said and bench.node.report().level == WARN
+    assert not bench.said and bench.node.diagnose().level == WARN
 
 
 def test_a_plan_beside_an_arm_that_stands_is_free_until_that_arm_stands_in_its_path(bench):
     bench.own.offer(OURS)
     assert (bench.verdict().plan_id, bench.verdict().conflict, bench.verdict().reason) == ("ours", False, "")
-    assert bench.node.report().level == OK
+    assert bench.node.diagnose().level == OK
     bench.pose = TOWARDS
     found = bench.verdict()
     assert found.conflict and "b/link_" in found.reason and "stands there" in found.reason
-    assert (bench.node.report().level, bench.node.report().sentence) == (WARN, found.reason)
+    assert (bench.node.diagnose().level, bench.node.diagnose().sentence) == (WARN, found.reason)
 
 
 def test_a_plan_waits_until_the_plan_that_it_meets_has_ended(bench):
@@ -139,7 +139,7 @@ def test_what_is_not_known_stops_no_plan_that_is_played_and_what_stands_in_its_p
     assert not bench.verdict().conflict
     for bench.pose, stops in ((AWAY, False), (TOWARDS, True)):
         assert bench.verdict().conflict == stops
-    bench.own.say("scene", Scene(hash="wrong"))
+    bench.own.publish("scene", Scene(hash="wrong"))
     assert not bench.verdict().conflict, "as of a node that was started again"
     bench.own.follow(ExecutorState.IDLE, OURS, 20)
     assert bench.verdict().conflict
@@ -149,7 +149,7 @@ def test_a_node_that_was_started_again_stops_nothing_before_it_knows_what_is_pla
     bench.own.listener._execution = None
     bench.own.offer(OURS)
     bench.node.check()
-    assert not bench.said and bench.node.report().level == WARN
+    assert not bench.said and bench.node.diagnose().level == WARN
     bench.own.follow(ExecutorState.PLAYING, OURS, 20)
     assert not bench.verdict().conflict
 
@@ -187,9 +187,9 @@ def test_while_the_other_arm_is_not_known_nothing_starts(bench):
     assert "theirs" in bench.verdict().reason, "a plan that was never received"
     bench.other.follow(ExecutorState.IDLE)
     assert not bench.verdict().conflict
-    bench.other.say("scene", Scene(hash="wrong"))
+    bench.other.publish("scene", Scene(hash="wrong"))
     assert bench.other.refused and bench.verdict().conflict
-    assert bench.node.report().level == WARN
+    assert bench.node.diagnose().level == WARN
 
 
 def test_before_the_first_word_of_an_executor_nothing_starts(bench, monkeypatch):
@@ -242,9 +242,9 @@ def test_a_load_that_cannot_be_used_lets_nothing_start(bench):
     foreign = SceneObject("pole", "box", (0.1, 0.1, 4.0), (0.0, 0.0, 2.0), link="no_such_link")
     bench.own.offer(OURS)
     for arm in (bench.other, bench.own):
-        arm.say("scene", scene_to_msg(SceneValue((foreign,), 0.0), to_time(0), "base_link"))
+        arm.publish("scene", scene_to_msg(SceneValue((foreign,), 0.0), to_time(0), "base_link"))
         assert "no_such_link" in bench.verdict().reason
-        arm.say("scene", scene_to_msg(SceneValue((), 0.0), to_time(0), "base_link"))
+        arm.publish("scene", scene_to_msg(SceneValue((), 0.0), to_time(0), "base_link"))
         assert not bench.verdict().conflict
 
 

@@ -276,7 +276,7 @@ def test_no_address_of_a_master_is_one_sentence(started):
 def test_a_node_that_cannot_start_says_why_and_ends_where_nobody_ends_its_launch(monkeypatch):
     said = []
     monkeypatch.setenv(start_refusal.VARIABLE, "launch_1")
-    monkeypatch.setattr(start_refusal, "AGAIN", 0.0)
+    monkeypatch.setattr(start_refusal, "RESTART_DELAY", 0.0)
     monkeypatch.setattr(rospy, "on_shutdown", lambda _: None)
     publisher = SimpleNamespace(publish=lambda *fields: said.append(fields))
     monkeypatch.setattr(rospy, "Publisher", lambda topic, *_, latch, **__: publisher)

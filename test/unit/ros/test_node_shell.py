@@ -17,13 +17,13 @@ from unplugged import Unplugged
 from construction_twin.core.errors import ConfigurationError, PoseUnknownError
 from construction_twin.ros import nodes
 from construction_twin.ros.shared import node_shell as module
-from construction_twin.ros.shared.diagnostics import OK, Report
+from construction_twin.ros.shared.diagnostics import OK, Diagnosis
 from construction_twin.ros.shared.node_shell import (
-    Every,
     Interface,
-    NewestPose,
+    NodeIO,
     NodeShell,
-    Ports,
+    NodeTimer,
+    PolledPose,
     PoseSubscription,
     Publication,
     Served,
@@ -83,11 +83,11 @@ def test_every_node_runs_its_shell():
 class Node:
     """Says what it heard."""
 
-    def __init__(self, settings: Settings, robot, ports: Ports):
+    def __init__(self, settings: Settings, robot, node_io: NodeIO):
         self.heard: list = []
-        self.ports = ports
-        self.said = ports.publishers["said"]
-        self.found = ports.parameters
+        self.node_io = node_io
+        self.said = node_io.publishers["said"]
+        self.found = node_io.parameters
         self.said.publish(String("first"))
 
     def on_word(self, message: String) -> None:
@@ -108,14 +108,14 @@ class Node:
 
 
 INTERFACE = Interface(
-    report=lambda node: Report(OK, f"heard {len(node.heard)}"),
-    parameters=(SharedParameter("cell"), SharedParameter("waits", "", kept=True)),
+    diagnose=lambda node: Diagnosis(OK, f"heard {len(node.heard)}"),
+    parameters=(SharedParameter("cell"), SharedParameter("waits", "", written=True)),
     publishes=(
         Publication("said", String, queue_size=3, latch=True, tcp_nodelay=True),
         Publication("none", "no_such_msgs/Thing", queue_size=1),
     ),
-    reads=(NewestPose("twin/joint_states"), NewestPose("slow", when=lambda settings: settings.rate < 1.0)),
-    hears=(
+    polls=(PolledPose("twin/joint_states"), PolledPose("slow", when=lambda settings: settings.rate < 1.0)),
+    subscribes=(
         Subscription("word", String, Node.on_word, queue_size=2),
         Subscription("often", String, Node.on_word, queue_size=2, when=lambda settings: settings.rate > 5.0),
         PoseSubscription("pose", Node.on_pose),
@@ -124,7 +124,7 @@ INTERFACE = Interface(
         Served("ask", Trigger, Node.on_ask),
         Served("set", SetBool, Node.on_set, reason="setting", refused=lambda node, request: {"message": f"{request.data}: no"}),
     ),
-    every=(Every(lambda settings: 1.0 / settings.rate, lambda node: node.heard.append(node.ports.connections("word"))),),
+    timers=(NodeTimer(lambda settings: 1.0 / settings.rate, lambda node: node.heard.append(node.node_io.connections("word"))),),
 )  # fmt: skip
 
 
@@ -135,11 +135,11 @@ def unplugged(monkeypatch, rate: float = 2.0, **options) -> Unplugged:
 def test_shared_parameters_are_read_before_the_node_is_made_and_only_a_kept_one_is_written(monkeypatch):
     made = unplugged(monkeypatch, parameters={"waits": "stopped", "other": 1})
     assert made.node.found == {"cell": None, "waits": "stopped"}
-    made.node.ports.keeper("waits")("")
+    made.node.node_io.parameter_writer("waits")("")
     assert made.parameters == {"waits": "", "other": 1}
     for name in ("cell", "other"):
         with pytest.raises(AssertionError):
-            made.node.ports.keeper(name)
+            made.node.node_io.parameter_writer(name)
 
 
 def test_what_is_published_is_there_before_the_node_what_it_hears_after_it_and_requests_come_last(monkeypatch):
@@ -154,7 +154,7 @@ def test_what_is_published_is_there_before_the_node_what_it_hears_after_it_and_r
 def test_a_topic_is_there_where_the_parameters_or_installed_types_want_it(monkeypatch):
     few, many = unplugged(monkeypatch), unplugged(monkeypatch, 10.0)
     assert "often" not in few.callbacks and "often" in many.callbacks
-    assert set(few.node.ports.publishers) == {"said"} and set(few.node.ports.poses) == {"twin/joint_states"}
+    assert set(few.node.node_io.publishers) == {"said"} and set(few.node.node_io.poses) == {"twin/joint_states"}
 
 
 def test_what_comes_in_goes_directly_to_the_node(monkeypatch):

@@ -245,7 +245,7 @@ class TestAMotionThatIsSentAgain:
     def test_is_answered_with_the_plan_that_waits_and_publishes_no_other(self, bench, send):
         plan = send(RIGHT)
         assert plan and [send(RIGHT) for _ in range(5)] == [plan] * 5
-        assert [each.id for each in bench.published["plan"]] == [plan] and Unplugged.report().values["repeated"] == 5
+        assert [each.id for each in bench.published["plan"]] == [plan] and Unplugged.diagnose().values["repeated"] == 5
         outcomes = bench.published["plan_outcome"]
         assert len(outcomes) == 6 and "still waiting for review" in outcomes[-1].message
         # what another motion has replaced waits no more

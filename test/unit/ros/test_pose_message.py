@@ -54,21 +54,21 @@ class TestWire:
     @given(STAMPS, POSES, st.integers(0, 2**32 - 1))
     def test_a_pose_is_the_message_that_genpy_writes(self, stamp, q, number):
         message = PoseMessage(JointState, NAMES)
-        data = on_wire(message.sent(stamp, q), number)
+        data = on_wire(message.outgoing_message(stamp, q), number)
         assert data == on_wire(joint_state(stamp, q), number)
-        assert from_wire(data, message.received).content == (stamp, q)
+        assert from_wire(data, message.incoming_class).content == (stamp, q)
 
     @given(STAMPS, POSES, COUNTS, STAMPS)
     def test_feedback_is_the_message_that_genpy_writes(self, stamp, q, seq, command_stamp):
         message = PoseMessage(Feedback, NAMES)
-        data = on_wire(message.sent(stamp, q, seq, command_stamp))
+        data = on_wire(message.outgoing_message(stamp, q, seq, command_stamp))
         assert data == on_wire(feedback(stamp, q, seq, command_stamp))
-        assert from_wire(data, message.received).content == (stamp, q, seq, command_stamp)
+        assert from_wire(data, message.incoming_class).content == (stamp, q, seq, command_stamp)
 
     @pytest.mark.parametrize("q", [(1.0, 2.0), (1.0, 2.0, 3.0, 4.0), (1.0, 2.0, None), (1.0, 2.0, "3")])
     def test_a_pose_that_is_none_is_not_sent(self, q):
         with pytest.raises(rospy.ROSSerializationException):
-            on_wire(PoseMessage(JointState, NAMES).sent(1, q))
+            on_wire(PoseMessage(JointState, NAMES).outgoing_message(1, q))
 
 
 OTHERS = {
@@ -86,7 +86,7 @@ OTHERS = {
 @pytest.mark.parametrize("fields", OTHERS.values(), ids=OTHERS)
 def test_what_looks_different_is_read_by_genpy(fields):
     message = joint_state(10**18, (1.0, 2.0, 3.0), **fields)
-    read = from_wire(on_wire(message), PoseMessage(JointState, NAMES).received)
+    read = from_wire(on_wire(message), PoseMessage(JointState, NAMES).incoming_class)
     assert read.content is None
     assert (read.header, read.name, read.position) == (message.header, message.name, message.position)
     assert (read.velocity, read.effort) == (message.velocity or (), message.effort or ())
@@ -95,7 +95,7 @@ def test_what_looks_different_is_read_by_genpy(fields):
 def test_a_frame_is_no_reason_to_refuse_a_pose():
     message = joint_state(10**18, (1.0, 2.0, 3.0))
     message.header.frame_id = "base_link"
-    read = from_wire(on_wire(message), PoseMessage(JointState, NAMES).received)
+    read = from_wire(on_wire(message), PoseMessage(JointState, NAMES).incoming_class)
     assert read.content is None and read.header.frame_id == "base_link" and read.position == (1.0, 2.0, 3.0)
 
 
@@ -103,12 +103,12 @@ def test_a_frame_is_no_reason_to_refuse_a_pose():
 def test_who_looks_at_a_field_finds_it(kind):
     """Such as rospy's statistics, or a plain subscriber of the same process, which is given the same objects."""
     message = PoseMessage(kind, NAMES)
-    data = on_wire(message.sent(10**18, (1.0, 2.0, 3.0), 5, 7))
-    read, known = from_wire(data, message.received), from_wire(data, kind)
+    data = on_wire(message.outgoing_message(10**18, (1.0, 2.0, 3.0), 5, 7))
+    read, known = from_wire(data, message.incoming_class), from_wire(data, kind)
     assert read.header.stamp == known.header.stamp == to_time(10**18)
     assert all(getattr(read, field) == getattr(known, field) for field in kind.__slots__)
     assert repr(read) == repr(known) and read.content[:2] == (10**18, (1.0, 2.0, 3.0))
-    assert not hasattr(read, "colour") and not hasattr(message.received(), "position")
+    assert not hasattr(read, "colour") and not hasattr(message.incoming_class(), "position")
 
 
 class Topic:
@@ -131,7 +131,7 @@ class Topic:
         self.refused.append(reason)
         self.sentence = sentence
 
-    def hear(self, message, caller: str = "/executor", kind: type | None = None) -> None:
+    def deliver(self, message, caller: str = "/executor", kind: type | None = None) -> None:
         """Take a message as rospy hands it on."""
         read = from_wire(on_wire(message), kind or self.kind)
         read._connection_header = {"callerid": caller}
@@ -141,34 +141,34 @@ class Topic:
 class TestSubscriber:
     def test_hands_on_a_stream(self, monkeypatch):
         topic = Topic(monkeypatch)
-        topic.hear(PoseMessage(JointState, NAMES).sent(5, (1.0, 2.0, 3.0)))
-        topic.hear(joint_state(6, (1.0, 2.0, 3.0)))
+        topic.deliver(PoseMessage(JointState, NAMES).outgoing_message(5, (1.0, 2.0, 3.0)))
+        topic.deliver(joint_state(6, (1.0, 2.0, 3.0)))
         # of the class of another subscriber of the process, which was there first
-        topic.hear(joint_state(7, (1.0, 2.0, 3.0)), kind=JointState)
+        topic.deliver(joint_state(7, (1.0, 2.0, 3.0)), kind=JointState)
         assert topic.poses == [(stamp, (1.0, 2.0, 3.0)) for stamp in (5, 6, 7)] and topic.refused == []
 
     def test_puts_other_orders_right(self, monkeypatch):
         topic = Topic(monkeypatch)
-        topic.hear(joint_state(5, (3.0, 2.0, 1.0), name=list(NAMES[::-1]), velocity=(0.0,) * 3))
+        topic.deliver(joint_state(5, (3.0, 2.0, 1.0), name=list(NAMES[::-1]), velocity=(0.0,) * 3))
         assert topic.poses == [(5, (1.0, 2.0, 3.0))]
 
     def test_hands_on_feedback(self, monkeypatch):
         topic = Topic(monkeypatch, Feedback)
-        topic.hear(PoseMessage(Feedback, NAMES).sent(5, (1.0, 2.0, 3.0), 8, 3 * NANOSECONDS + 1))
+        topic.deliver(PoseMessage(Feedback, NAMES).outgoing_message(5, (1.0, 2.0, 3.0), 8, 3 * NANOSECONDS + 1))
         other = feedback(6, (3.0, 2.0, 1.0), 9, 4)
         other.name = list(NAMES[::-1])
-        topic.hear(other)
+        topic.deliver(other)
         assert topic.poses == [(5, (1.0, 2.0, 3.0), 8, 3 * NANOSECONDS + 1), (6, (1.0, 2.0, 3.0), 9, 4)]
 
     @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
     @pytest.mark.parametrize("velocity", [(), (0.0,) * 3], ids=["stream", "other"])
     def test_refuses_what_is_no_number(self, monkeypatch, bad, velocity):
         topic = Topic(monkeypatch)
-        topic.hear(joint_state(5, (1.0, bad, 3.0), velocity=velocity))
+        topic.deliver(joint_state(5, (1.0, bad, 3.0), velocity=velocity))
         assert topic.poses == [] and topic.refused == ["values"]
 
     @pytest.mark.parametrize("case", ["other names", "fewer", "none", "names of the same length"])
     def test_refuses_other_joints(self, monkeypatch, case):
         topic = Topic(monkeypatch)
-        topic.hear(joint_state(5, (1.0, 2.0, 3.0) if "position" not in OTHERS[case] else (), **OTHERS[case]))
+        topic.deliver(joint_state(5, (1.0, 2.0, 3.0) if "position" not in OTHERS[case] else (), **OTHERS[case]))
         assert topic.poses == [] and topic.refused == ["names"]

@@ -10,7 +10,7 @@ import rospy
 from processes import wait_until
 
 from construction_twin.ros.shared import diagnostics as module
-from construction_twin.ros.shared.diagnostics import KEPT, PERIOD, RefusalLog, warn_of_refusals
+from construction_twin.ros.shared.diagnostics import MAX_STRANGERS, PERIOD, RefusalLog, warn_of_refusals
 
 
 def sentence(topic: str, stranger: str = "/play_1") -> str:
@@ -31,24 +31,24 @@ def test_every_stream_of_a_bag_is_named_once_however_many_come_together(log, clo
     written = []
     for _ in range(100):
         clock[0] += PERIOD // 100
-        written += [topic for topic in ("sync", "link", "plan") if log.note("publisher", sentence(topic)) == ""]
+        written += [topic for topic in ("sync", "link", "plan") if log.admit("publisher", sentence(topic)) == ""]
     assert written == ["sync", "link", "plan"]
     assert log.strangers() == {sentence(topic): 100 for topic in written}
     # another bag is another stranger
-    assert log.note("publisher", sentence("sync", "/play_2")) == ""
+    assert log.admit("publisher", sentence("sync", "/play_2")) == ""
 
 
 def test_other_reasons_do_not_hide_each_other(log, clock):
-    assert log.note("plan", "a") == log.note("limit", "b") == ""
+    assert log.admit("plan", "a") == log.admit("limit", "b") == ""
     clock[0] += PERIOD - 1
-    assert log.note("plan", "c") is log.note("limit", "d") is None
+    assert log.admit("plan", "c") is log.admit("limit", "d") is None
     clock[0] += 1
-    assert log.note("plan", "e") == " (1 more like this since the last such line)"
+    assert log.admit("plan", "e") == " (1 more like this since the last such line)"
 
 
 def test_strangers_without_end_fill_no_memory_and_no_log(log, clock):
-    written = sum(log.note("publisher", sentence("sync", f"/play_{k}")) is not None for k in range(10 * KEPT))
-    assert written == KEPT + 1 and len(log.strangers()) == KEPT
+    written = sum(log.admit("publisher", sentence("sync", f"/play_{k}")) is not None for k in range(10 * MAX_STRANGERS))
+    assert written == MAX_STRANGERS + 1 and len(log.strangers()) == MAX_STRANGERS
 
 
 def test_a_program_without_diagnostics_says_it_with_its_name(monkeypatch):
@@ -70,7 +70,7 @@ def diagnostics(monkeypatch):
     monkeypatch.setattr(rospy, "Timer", lambda *_: None)
     monkeypatch.setattr(rospy, "on_shutdown", lambda hook: None)
     monkeypatch.setattr(rospy, "get_name", lambda: "/kr120/executor")
-    return module.NodeDiagnostics("kr120", lambda: module.Report(module.OK, "well"))
+    return module.NodeDiagnostics("kr120", lambda: module.Diagnosis(module.OK, "well"))
 
 
 def test_who_refuses_waits_for_no_log(diagnostics, monkeypatch):

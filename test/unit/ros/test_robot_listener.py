@@ -31,13 +31,13 @@ class World:
         self.callbacks[topic] = callback
         return SimpleNamespace(get_num_connections=lambda: self.publishers)
 
-    def hear(self, name: str, message) -> None:
+    def receive(self, name: str, message) -> None:
         self.callbacks[f"/kr120/{name}"](message)
 
     def all_report(self) -> None:
-        self.hear("link", Link(text="ARMED"))
-        self.hear("sync", Sync(text="IN_SYNC"))
-        self.hear("execution", Execution(text="IDLE"))
+        self.receive("link", Link(text="ARMED"))
+        self.receive("sync", Sync(text="IN_SYNC"))
+        self.receive("execution", Execution(text="IDLE"))
 
 
 @pytest.fixture
@@ -46,12 +46,12 @@ def world(monkeypatch):
 
 
 def test_other_reports_leave_the_plan_alone(world):
-    world.hear("plan", Plan(id="p1"))
+    world.receive("plan", Plan(id="p1"))
     for name, message in (("sync", Sync()), ("link", Link()), ("execution", Execution(plan_id="p0"))):
-        world.hear(name, message)
+        world.receive(name, message)
     assert world.listener.under_review().id == "p1"
     assert world.listener.plan("p1").id == "p1" and world.listener.plan("p0") is None
-    world.hear("review", Review(plan_id="p1"))
+    world.receive("review", Review(plan_id="p1"))
     assert world.listener.under_review() is None
 
 

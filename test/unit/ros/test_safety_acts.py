@@ -18,7 +18,7 @@ from construction_twin.core.side_effects import SideEffects
 from construction_twin.execution import machine as library
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.execution.playback import Playback, StopForecaster, StoppingForecast
-from construction_twin.execution.upkeep import News
+from construction_twin.execution.upkeep import ExecutionNews
 from construction_twin.review.record import ReviewLog
 from construction_twin.ros.nodes import executor as module
 from construction_twin.ros.shared.diagnostics import WARN, DeferredLog
@@ -93,7 +93,7 @@ HELPERS = {
     "its sentence": (StoppingForecast, "text", ("stop",)),
     "how far it went": (library, "distance_along", ("stop", "stop_plan")),
     "the name of the caller": (module, "caller_of", ("stop_plan",)),
-    "the verdict on a waiting plan": (library.ExecutorMachine, "tell_withdrawn", ("stop",)),
+    "the verdict on a waiting plan": (library.ExecutorMachine, "record_withdrawal", ("stop",)),
     "the record's queue": (ReviewLog, "defer", ("stop", "stop_plan", "reject")),
     "the record": (ReviewLog, "flush", ACTS),
     "the log's queue": (DeferredLog, "add", ACTS),
@@ -118,7 +118,7 @@ def test_with_a_helper_that_fails_as_nobody_foresaw(world, monkeypatch, which, h
     assert sum(world.node.side_effects.counts().values()) > 0
     world.node.do_background_work()
     assert any("Unforeseen" in line and "Traceback" in line for _, line in world.logged) or place is rospy
-    report = world.node.report()
+    report = world.node.diagnose()
     assert report.level == WARN and "nobody foresaw this" in report.sentence
     assert any(key.startswith("failed beside an act") for key in report.values)
 
@@ -148,7 +148,7 @@ def test_with_a_full_disk_the_record_comes_later(world, monkeypatch, tmp_path, w
         assert act(world, which).success
         is_carried_out(world, which)
         world.run(1).node.do_background_work()
-        assert "no space left on device" in world.node.report().sentence
+        assert "no space left on device" in world.node.diagnose().sentence
     world.node.do_background_work()
     written = [line.get("outcome", line.get("verdict")) for line in records(tmp_path)]
     assert (
@@ -185,7 +185,7 @@ def test_a_rejection_that_was_answered_is_on_record_once_although_the_node_ends_
 
 def test_what_fails_when_nobody_has_asked_for_anything_still_ends_the_node(world, monkeypatch):
     world.playing()
-    monkeypatch.setattr(News, "_news", fail)
+    monkeypatch.setattr(ExecutionNews, "_report_key", fail)
     with pytest.raises(Unforeseen):
         world.run(1)
 
@@ -193,7 +193,7 @@ def test_what_fails_when_nobody_has_asked_for_anything_still_ends_the_node(world
 @pytest.mark.parametrize("which", ["stop", "stop_plan", "pause"])
 def test_and_of_what_goes_on_failing_not_before_the_arm_is_at_rest(world, monkeypatch, which):
     prepared(world, which)
-    monkeypatch.setattr(News, "_news", fail)
+    monkeypatch.setattr(ExecutionNews, "_report_key", fail)
     assert act(world, which).success
     begin = len(setpoints(world))
     with pytest.raises(Unforeseen):

@@ -20,7 +20,7 @@ BOOT = "c0ffee00"
 def clocks(monkeypatch):
     rospy.rostime.set_rostime_initialized(True)
     made = Clocks(monkeypatch, mqtt_bridge)
-    monkeypatch.setattr(mqtt_bridge, "present", lambda: Moment(BOOT, made.steady))
+    monkeypatch.setattr(mqtt_bridge, "present_moment", lambda: Moment(BOOT, made.steady))
     yield made
     rospy.rostime.set_rostime_initialized(False)
 

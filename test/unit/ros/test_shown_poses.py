@@ -24,7 +24,7 @@ LARGEST = kr120().velocity
 def shown(*q: float) -> list[int]:
     """Return which poses of a stream are shown, by their number, in the order of being shown."""
     poses: ShownPoses[int] = ShownPoses()
-    taken = [poses.take(number * PERIOD, NAMES, (value, 0.0), number) for number, value in enumerate(q)]
+    taken = [poses.next_shown(number * PERIOD, NAMES, (value, 0.0), number) for number, value in enumerate(q)]
     return [number for number in taken if number is not None]
 
 
@@ -59,8 +59,8 @@ def test_an_arm_that_trembles_rests_and_one_that_creeps_moves():
 @pytest.mark.parametrize("names, q", [(("a", "c"), (0.0, 0.0)), (("a",), (0.0,)), (NAMES, (0.0,))])
 def test_what_another_publisher_says_of_other_joints_is_shown(names, q):
     poses: ShownPoses[str] = ShownPoses()
-    assert poses.take(0.0, NAMES, (0.0, 0.0), "first") == "first"
-    assert (poses.take(0.01, names, q, "other") == "other") == (names != NAMES)
+    assert poses.next_shown(0.0, NAMES, (0.0, 0.0), "first") == "first"
+    assert (poses.next_shown(0.01, names, q, "other") == "other") == (names != NAMES)
 
 
 @given(st.lists(st.sampled_from([0.0, 0.5 * STILL, 0.1, 0.2]), max_size=60))
@@ -68,7 +68,7 @@ def test_what_is_shown_is_never_far_from_the_truth_for_longer_than_two_poses_nor
     poses: ShownPoses[int] = ShownPoses()
     last, seen_at, off = None, 0.0, 0
     for number, value in enumerate(values):
-        taken = poses.take(number * PERIOD, NAMES, (value, 0.0), number)
+        taken = poses.next_shown(number * PERIOD, NAMES, (value, 0.0), number)
         if taken is not None:
             assert last is None or taken > last, "in the order of time, and none twice"
             last, seen_at = taken, number * PERIOD

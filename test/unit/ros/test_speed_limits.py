@@ -42,9 +42,9 @@ class Bench:
         monkeypatch.setenv("ROS_HOME", str(home))
         patch(pca_monitor.time, "monotonic_ns", lambda: round(self.now * NANOSECONDS))
         patch(pca_monitor, "now_ns", lambda: round(self.now * NANOSECONDS))
-        patch(pca_monitor, "present", lambda: Moment(BOOT, round(self.now * NANOSECONDS)))
+        patch(pca_monitor, "present_moment", lambda: Moment(BOOT, round(self.now * NANOSECONDS)))
         # what it records of its gate is another file, of which one process has one
-        record = SimpleNamespace(add=lambda _: None, flush=lambda: None, problem="", values=dict)
+        record = SimpleNamespace(add=lambda _: None, flush=lambda: None, fault="", values=dict)
         patch(pca_monitor, "TransitionLog", lambda *_: record)
         self.restart()
 
@@ -92,7 +92,7 @@ def test_a_program_s_limit_is_in_force_at_once_and_its_silence_counts_as_before(
     assert bench.limit == 0.5
     bench.later(0.05)
     assert bench.limit == 0.1 and "silent for more than 0.5 s" in bench.sent[-1].reason
-    assert bench.speed.report().level == WARN
+    assert bench.speed.diagnose().level == WARN
     bench.says(1.0)
     assert (bench.limit, bench.sent[-1].by) == (1.0, "")
 
@@ -207,10 +207,10 @@ def test_while_a_raise_waits_for_the_disk_setpoints_sync_and_lower_limits_go_on(
 
 def test_before_anybody_limits_nothing_is_published_and_a_slow_program_is_told_of_beside_the_gate(bench):
     bench.later(1.0)
-    assert bench.sent == [] and bench.made.report().values["speed limit"] == "1.000"
+    assert bench.sent == [] and bench.made.diagnose().values["speed limit"] == "1.000"
     bench.says(0.5)
     bench.later(1.0)
-    report = bench.made.report()
+    report = bench.made.diagnose()
     assert report.level == WARN and "/kr120/separation is silent" in report.sentence
 
 
@@ -270,7 +270,7 @@ def test_on_a_full_disk_a_restart_raises_nothing(bench, monkeypatch):
     bench.restart()
     bench.later(0.05)
     assert (bench.limit, bench.sent[-1].person) == (0.06, "a person with a long name")
-    assert bench.speed.report().level == OK
+    assert bench.speed.diagnose().level == OK
 
 
 @pytest.mark.parametrize("call", ["open", "write", "fsync"])
@@ -285,7 +285,7 @@ def test_what_cannot_be_written_at_all_is_obeyed_only_falls_and_is_not_known_aft
         broken.setattr(os, call, fail)
         assert bench.sets(0.06).success and bench.limit == 0.06
         bench.speed.write()
-        report = bench.speed.report()
+        report = bench.speed.diagnose()
         assert report.level == ERROR and "Input/output error" in report.sentence
         bench.later(1.0)
         answer = bench.sets(0.5, moment=bench.shown())
@@ -293,7 +293,7 @@ def test_what_cannot_be_written_at_all_is_obeyed_only_falls_and_is_not_known_aft
         assert [reason for reason, _ in bench.made.refused] == ["file"]
     bench.restart()
     bench.later(0.05)
-    assert bench.limit == LEAST_SPEED and bench.speed.report().level == ERROR
+    assert bench.limit == LEAST_SPEED and bench.speed.diagnose().level == ERROR
 
 
 def test_a_raise_that_is_overtaken_while_it_is_written_is_void_also_on_the_disk(bench, monkeypatch):
@@ -323,7 +323,7 @@ def test_a_file_that_cannot_be_read_is_the_least_until_a_person_sets_another(ben
     bench.file.unlink() if contents is None else bench.file.write_bytes(contents)
     bench.restart()
     bench.later(1.0)
-    assert bench.limit == LEAST_SPEED and bench.speed.report().level == ERROR
+    assert bench.limit == LEAST_SPEED and bench.speed.diagnose().level == ERROR
     bench.speed.write()
     assert contents is None or bench.file.read_bytes() == contents, "what it was stays to be looked at"
     assert bench.sets(0.5, moment=bench.shown()).success

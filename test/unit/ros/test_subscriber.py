@@ -43,7 +43,7 @@ class Master:
             get_num_connections=lambda: len(self.connections),
         )
 
-    def hear(self, **header) -> None:
+    def deliver(self, **header) -> None:
         """Hand a message on as rospy does."""
         self.receive(SimpleNamespace(_connection_header=header))
 
@@ -93,8 +93,8 @@ def test_a_request_is_heard_from_anybody_until_one_node_is_named(master, topic):
     assert publisher_of(topic) == "/kr120/separation"
     heard = []
     Subscriber(topic, object, heard.append, master.refuse, queue_size=5)
-    master.hear(callerid="/play_1790000000123")
-    master.hear(callerid="/kr120/separation")
+    master.deliver(callerid="/play_1790000000123")
+    master.deliver(callerid="/kr120/separation")
     assert len(heard) == 1 and [reason for reason, _ in master.refused] == ["publisher"]
 
 
@@ -110,7 +110,7 @@ def test_a_parameter_that_names_no_publishers_is_refused_at_the_start(master, na
 def test_a_stranger_is_refused_counted_and_named(master, topic, header):
     heard = []
     Subscriber(topic, object, heard.append, master.refuse, queue_size=5)
-    master.hear(**header)
+    master.deliver(**header)
     assert heard == []
     ((reason, sentence),) = master.refused
     assert reason == "publisher"
@@ -121,14 +121,14 @@ def test_a_stranger_is_refused_counted_and_named(master, topic, header):
 def test_the_publisher_is_heard(master):
     heard = []
     Subscriber("link", object, heard.append, master.refuse, queue_size=5)
-    master.hear(callerid="/kr120/mqtt_bridge")
+    master.deliver(callerid="/kr120/mqtt_bridge")
     assert len(heard) == 1 and master.refused == []
 
 
 def test_a_topic_without_a_publisher_of_its_own_is_heard_from_everybody(master):
     heard = []
     Subscriber("speed_limit", object, heard.append, master.refuse, queue_size=5)
-    master.hear(callerid="/anybody")
+    master.deliver(callerid="/anybody")
     assert len(heard) == 1
 
 
@@ -149,6 +149,6 @@ def test_what_a_callback_did_not_foresee_goes_where_a_thread_s_errors_go(master,
         raise IndexError("no points")
 
     module.Subscriber("plan", object, fail, master.refuse, queue_size=5)
-    master.hear(callerid="/kr120/planner")
+    master.deliver(callerid="/kr120/planner")
     assert [type(args.exc_value) for args in seen] == [IndexError]
     assert seen[0].thread is threading.current_thread() and seen[0].exc_traceback is not None

@@ -20,7 +20,7 @@ from ros_master import ros_master
 
 from construction_twin.core.errors import ConfigurationError, SilenceError
 from construction_twin.gateway.config import load_config
-from construction_twin.review.rehearsal_report import FAILED, RehearsalReport, finished
+from construction_twin.review.rehearsal_report import FAILED, RehearsalReport, with_hash
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.commands import twin as twin_cli
 from construction_twin.ros.commands.preflight import LaunchParameters
@@ -112,7 +112,7 @@ def test_an_override_is_of_the_result_that_was_printed_before_it_was_asked(monke
         assert topic == "/kr120/rehearsal"
         if latched is None:
             raise rospy.ROSException("nothing there")
-        return to_msg(finished(replace(report, **latched), 0.1), Rehearsal)
+        return to_msg(with_hash(replace(report, **latched), 0.1), Rehearsal)
 
     def review(verdict):
         asked.append((verdict, capsys.readouterr().out))
@@ -127,7 +127,7 @@ def test_an_override_is_of_the_result_that_was_printed_before_it_was_asked(monke
     assert command.run() is Exit.DONE
     ((verdict, printed),) = asked
     assert (verdict.override_rehearsal, verdict.plan_hash) == (True, "h")
-    assert verdict.rehearsal_hash == (finished(report, 0.1).hash if seen else "")
+    assert verdict.rehearsal_hash == (with_hash(report, 0.1).hash if seen else "")
     assert ("link_5 touches wall" in printed) == bool(seen) and ("was not rehearsed yet" in printed) != bool(seen)
 
 

@@ -196,7 +196,7 @@ class Falling:
     """A simulated arm that is a little lower in every cycle, whatever it is told."""
 
     def __init__(self):
-        self.problem, self.contacts, self.effort, self.remarks = "", (), (1.0,) * 6, ()
+        self.fault, self.contacts, self.effort, self.remarks = "", (), (1.0,) * 6, ()
         self.fallen, self.restarts, self.models = 0, 0, []
 
     def cycle(self, commanded):
@@ -206,7 +206,7 @@ class Falling:
     def restart(self):
         self.fallen, self.restarts = 0, self.restarts + 1
 
-    def take_model(self, model):
+    def set_model(self, model):
         self.models.append(model)
 
 
@@ -318,7 +318,7 @@ def test_what_gazebo_answers_is_the_twin_s_pose_with_the_stamp_of_the_command(mo
         bench.callbacks["gazebo/joint_states"](stamp, sagged)
     assert bench.published["twin/joint_states"] == [(stamp, sagged) for stamp in STAMPS[:3]]
     assert bench.published["twin/commanded"] == [(stamp, HOME) for stamp in STAMPS[:3]]
-    assert bench.refused == [] and bench.report().sentence == "executing"
+    assert bench.refused == [] and bench.diagnose().sentence == "executing"
 
 
 def test_a_silent_gazebo_is_told_and_what_is_commanded_goes_on(monkeypatch):
@@ -328,5 +328,5 @@ def test_a_silent_gazebo_is_told_and_what_is_commanded_goes_on(monkeypatch):
         bench.node.on_command(stamp, HOME)
     assert [stamp for stamp, _ in bench.published["twin/commanded"]] == stamps
     assert bench.published["twin/joint_states"] == []
-    report = bench.report()
+    report = bench.diagnose()
     assert report.level == module.WARN and report.sentence.startswith("Gazebo has answered no command for 1 s")

@@ -30,8 +30,8 @@ def taken_over(speed=(1.0, -2.0), cycles=100, **options):
     """A last resort that takes over from an arm that moves at `speed` [rad/s]."""
     resort = made(**options)
     for k in range(1, cycles + 1):
-        resort.sent(1000 + 4 * k, PEER, *(tuple(v * CYCLE * n for v in speed) for n in (k, k - 1)), 0)
-    resort.take_over()
+        resort.on_reply_sent(1000 + 4 * k, PEER, *(tuple(v * CYCLE * n for v in speed) for n in (k, k - 1)), 0)
+    resort.begin()
     return resort
 
 
@@ -91,18 +91,18 @@ def test_after_a_long_gap_a_correction_would_be_a_jump_and_is_not_sent():
 
 def test_a_correction_of_another_session_is_no_speed():
     resort = made()
-    resort.sent(1000, PEER, (0.3, 0.3), (0.2, 0.2), 0)
-    resort.sent(900_000, PEER, (0.0, 0.0), (), 0)
-    resort.take_over()
+    resort.on_reply_sent(1000, PEER, (0.3, 0.3), (0.2, 0.2), 0)
+    resort.on_reply_sent(900_000, PEER, (0.0, 0.0), (), 0)
+    resort.begin()
     assert resort.at_rest and ask(resort, 900_004) == (0.0, 0.0)
 
 
 def test_who_was_never_answered_gets_no_answer():
     resort = made()
-    resort.take_over()
-    assert ask(resort, 1000) is None and not resort.ends
+    resort.begin()
+    assert ask(resort, 1000) is None and not resort.ends_program
     without = LastResort(CONFIG.limits, None, 4)
-    without.take_over()
+    without.begin()
     assert ask(without, 1000) is None and without.at_rest
 
 
@@ -111,8 +111,8 @@ def test_it_ends_the_program_only_once_the_arm_is_at_rest():
     layout = RsiLayout("ImFree", 49152, False, ("AIPos", "ASPos", "Delay"), channels, (True,) * len(channels))
     resort = made(layout)
     for k in range(1, 50):
-        resort.sent(4 * k, PEER, (0.004 * k, 0.0), (0.004 * (k - 1), 0.0), 0)
-    resort.take_over()
+        resort.on_reply_sent(4 * k, PEER, (0.004 * k, 0.0), (0.004 * (k - 1), 0.0), 0)
+    resort.begin()
     resort.ending = True
     ends = []
     for _ in range(300):
@@ -125,7 +125,7 @@ def test_it_ends_the_program_only_once_the_arm_is_at_rest():
 def test_replies_leave_a_tool_s_outputs_as_they_were_sent_last():
     resort = taken_over()
     encoder = SensorEncoder("ImFree", AXES, (), (), ("Enable", "vacuum"))
-    resort.hold(*(encoder.template(end, (True, True)) for end in (None, True)))
+    resort.set_templates(*(encoder.template(end, (True, True)) for end in (None, True)))
     assert b'<Set Enable="1" vacuum="1"/>' in resort.answer(resort.stamp + 4)
 
 
@@ -136,7 +136,7 @@ def counted(ipoc, delay):
 def ask_counted(resort, ipoc, delay):
     """Return the correction of the reply to a telegram with `Delay`."""
     assert resort.stamp_of(counted(ipoc, delay), PEER) == ipoc
-    resort.note_missed(ipoc, counted(ipoc, delay))
+    resort.rewind_if_lost(ipoc, counted(ipoc, delay))
     return SensorDecoder("ImFree", AXES).parse(resort.answer(ipoc)).target
 
 

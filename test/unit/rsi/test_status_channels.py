@@ -97,11 +97,11 @@ def test_what_speaks_against_a_motion_is_a_sentence(status, said):
 
 
 def test_unknown_numbers_are_shown_as_numbers():
-    assert RsiStatus(7, 9, 50.0).report() == {
+    assert RsiStatus(7, 9, 50.0).status_fields() == {
         "mode": "number 7", "program": "number 9", "override_percent": 50.0,
         "sentence": "the override is 50 %: the controller's own motions are slower by that, corrections are not",
     }  # fmt: skip
-    assert RsiStatus().report() == {}
+    assert RsiStatus().status_fields() == {}
 
 
 # -- the gateway -------------------------------------------------------------------------------------------------------

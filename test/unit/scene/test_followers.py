@@ -94,7 +94,7 @@ def test_the_clearance_of_a_motion_is_that_of_its_rows():
 def test_another_arm_sees_the_piston_where_it_is():
     neighbour = Neighbour("other", balanced(), Pose(np.zeros(3), np.eye(3)))
     for q in poses(10, 1):
-        (found,) = {item for item in neighbour.between(q, q) if item.owner == "other/piston"}
+        (found,) = {item for item in neighbour.space_between(q, q) if item.owner == "other/piston"}
         at = expected("piston", q)
         middle = at.position + at.rotation @ (-0.25, 0.0, -0.05)
         assert found.placement.translation == pytest.approx(middle, abs=1e-9)

@@ -69,9 +69,9 @@ def carried_edge_to_edge(one, other):
 def test_a_board_on_the_edge_of_a_plate_is_not_infinitely_deep_in_it():
     for one, other, distance in edge_to_edge(300, 1):
         world = carried_edge_to_edge(one, other)
-        found, _ = world.of_touching().clearance_of(HOME[None])
+        found, _ = world.touching_world().clearance_of(HOME[None])
         assert found.distance == pytest.approx(distance, abs=3e-6)
-        assert world.of_touching().clearance(HOME).distance == pytest.approx(distance, abs=3e-6)
+        assert world.touching_world().clearance(HOME).distance == pytest.approx(distance, abs=3e-6)
         assert world.distance(HOME, "board", "plate") == pytest.approx(distance, abs=3e-6)
 
 

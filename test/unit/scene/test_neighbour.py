@@ -42,7 +42,7 @@ def pose(fractions) -> np.ndarray:
 @given(SHARES, SHARES, st.floats(0.0, 1.0))
 def test_the_swept_union_encloses_every_pose_between(start, end, fraction):
     path = line(pose(start), pose(end), 600)
-    swept = other().along(path)
+    swept = other().space_along(path)
     between = path[0] + fraction * (path[-1] - path[0])
     for owner, points in body_points(BESIDE, between).items():
         copies = [copy for copy in swept if copy.owner == owner]
@@ -51,14 +51,14 @@ def test_the_swept_union_encloses_every_pose_between(start, end, fraction):
 
 
 def test_what_does_not_move_is_kept_once_and_unpadded():
-    swept = other().along(line(AWAY, TOWARDS))
+    swept = other().space_along(line(AWAY, TOWARDS))
     pedestal = [copy for copy in swept if copy.owner == "other/link_0"]
     assert pedestal and len({id(copy.geometry) for copy in pedestal}) == len(pedestal)
     assert {copy.padding for copy in pedestal} == {ROUNDING}
 
 
 def test_padding_is_half_the_way_between_two_copies():
-    swept = other().along(line(AWAY, TOWARDS))
+    swept = other().space_along(line(AWAY, TOWARDS))
     paddings = [copy.padding for copy in swept]
     assert STEP / 4 < max(paddings) <= STEP / 2 + 0.02 + ROUNDING
 
@@ -79,8 +79,8 @@ def test_key_rows_are_a_step_apart_and_hold_both_ends(steps, step):
 def test_a_way_that_is_free_beside_one_pose_is_blocked_by_another():
     world = empty_world()
     way = line(NEAR, HOME)
-    assert world.with_neighbour(other().between(AWAY, AWAY)).all_free(way) is None
-    blocked = world.with_neighbour(other().between(TOWARDS, TOWARDS))
+    assert world.with_neighbour(other().space_between(AWAY, AWAY)).all_free(way) is None
+    blocked = world.with_neighbour(other().space_between(TOWARDS, TOWARDS))
     row = blocked.all_free(way)
     assert row is not None
     assert blocked.contact(way[row]).between[1].startswith("other/")
@@ -88,14 +88,14 @@ def test_a_way_that_is_free_beside_one_pose_is_blocked_by_another():
 
 def test_a_path_through_a_way_blocks_it_although_both_its_ends_do_not():
     world, start, end = empty_world(), AWAY, TOWARDS + np.radians([90, 0, 0, 0, 0, 0])
-    ends = (*other().between(start, start), *other().between(end, end))
+    ends = (*other().space_between(start, start), *other().space_between(end, end))
     assert world.with_neighbour(ends).is_free(NEAR)
-    assert not world.with_neighbour(other().along(line(start, end))).is_free(NEAR)
+    assert not world.with_neighbour(other().space_along(line(start, end))).is_free(NEAR)
 
 
 def test_the_boxes_that_come_first_hide_no_contact():
     """Whole-arm boxes and left-out pairs against every pair measured one by one."""
-    obstacles = other().along(line(AWAY, TOWARDS))
+    obstacles = other().space_along(line(AWAY, TOWARDS))
     alone, world = empty_world(), empty_world().with_neighbour(obstacles)
     rng = np.random.default_rng(3)
     poses = NEAR + rng.uniform(-0.9, 0.9, (150, 6))
@@ -124,7 +124,7 @@ def _measured_free(q, obstacles) -> bool:
 
 
 def test_an_arm_out_of_reach_costs_nothing():
-    obstacles = other("far").along(line(AWAY, TOWARDS))
+    obstacles = other("far").space_along(line(AWAY, TOWARDS))
     alone, beside = (one.distances(NEAR) for one in (empty_world(), empty_world().with_neighbour(obstacles)))
     assert [pair.between for pair in beside] == [pair.between for pair in alone]
 
@@ -132,13 +132,13 @@ def test_an_arm_out_of_reach_costs_nothing():
 def test_what_the_other_arm_carries_is_an_obstacle_and_what_stands_in_its_scene_is_not():
     beam = SceneObject("beam", "box", (0.1, 0.1, 2.0), (0.0, 0.0, 1.0), link="tool0", touch=("link_6",))
     table = SceneObject("table", "box", (1.0, 1.0, 1.0), (1.5, 0.0, 0.5))
-    owners = {item.owner for item in other().carrying((beam, table)).between(AWAY, AWAY)}
+    owners = {item.owner for item in other().carrying((beam, table)).space_between(AWAY, AWAY)}
     assert "other/beam" in owners and "other/table" not in owners
 
 
 def test_our_own_load_is_checked_against_the_other_arm():
     load = SceneObject("load", "box", (0.2, 0.2, 3.0), (0.0, 0.0, 1.5), link="tool0", touch=("link_6",))
-    obstacles = other().between(AWAY, AWAY)
+    obstacles = other().space_between(AWAY, AWAY)
     q = HOME + np.radians([-90, 0, 0, 0, -90, 0])
     assert empty_world().with_neighbour(obstacles).is_free(q)
     loaded = empty_world(load).with_neighbour(obstacles)
@@ -148,18 +148,18 @@ def test_our_own_load_is_checked_against_the_other_arm():
 
 def test_what_stands_in_our_scene_is_not_checked_against_the_other_arm():
     wall = SceneObject("wall", "box", (1.0, 1.0, 1.0), tuple(BESIDE.position))
-    assert empty_world(wall).with_neighbour(other().between(AWAY, AWAY)).is_free(CLEAR)
+    assert empty_world(wall).with_neighbour(other().space_between(AWAY, AWAY)).is_free(CLEAR)
 
 
 def test_small_noise_gives_the_same_obstacles_and_motion_others():
     neighbour = Neighbour("other", ROBOT, BESIDE)
-    first = neighbour.between(AWAY, AWAY)
-    assert neighbour.between(AWAY + 1e-5, AWAY) is first
-    assert neighbour.between(AWAY + 1e-2, AWAY) is not first
+    first = neighbour.space_between(AWAY, AWAY)
+    assert neighbour.space_between(AWAY + 1e-5, AWAY) is first
+    assert neighbour.space_between(AWAY + 1e-2, AWAY) is not first
 
 
 def test_an_arm_that_trails_its_command_may_be_anywhere_on_the_way():
-    apart = other().between(AWAY, AWAY + np.radians([30, 0, 0, 0, 0, 0]))
+    apart = other().space_between(AWAY, AWAY + np.radians([30, 0, 0, 0, 0, 0]))
     for owner, points in body_points(BESIDE, AWAY + np.radians([13, 0, 0, 0, 0, 0])).items():
         for point in points:
             assert min(distance_to(copy, point) for copy in apart if copy.owner == owner) <= 1e-5
@@ -176,7 +176,7 @@ def test_the_planner_goes_around_where_the_other_arm_is():
     start, goal = HOME + np.radians([-20, 45, -45, 0, 0, 0]), HOME + np.radians([-100, 45, -45, 0, 0, 0])
     free = pipeline(None).to_joints(start, goal, REQUEST)
     assert free.planner == "direct"
-    obstacles = [item.padded(0.1) for item in other().between(STRETCHED, STRETCHED)]
+    obstacles = [item.padded(0.1) for item in other().space_between(STRETCHED, STRETCHED)]
     around = pipeline(lambda: obstacles).to_joints(start, goal, REQUEST)
     assert around.planner == "RRTConnect"
     assert around.scene == free.scene
@@ -186,7 +186,7 @@ def test_the_planner_goes_around_where_the_other_arm_is():
 
 
 def test_a_goal_inside_the_other_arm_is_refused_by_name():
-    obstacles = other().between(TOWARDS, TOWARDS)
+    obstacles = other().space_between(TOWARDS, TOWARDS)
     with pytest.raises(CollisionError, match="other/"):
         pipeline(lambda: obstacles).to_joints(CLEAR, NEAR, REQUEST)
 

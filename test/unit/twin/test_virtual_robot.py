@@ -20,14 +20,14 @@ def test_shows_no_pose_before_it_has_taken_over_the_arm_s():
     assert twin.pose is None
     assert not twin.execute(5, POSE)
     assert twin.pose is None
-    assert twin.take_over(POSE)
+    assert twin.assume_pose(POSE)
     assert twin.pose == POSE
 
 
 def test_without_an_arm_it_starts_at_home_and_takes_nothing_over():
     twin = VirtualRobot(HOME)
     assert twin.pose == HOME
-    assert not twin.take_over(POSE)
+    assert not twin.assume_pose(POSE)
 
 
 def test_executes_a_command_exactly_with_its_stamp():
@@ -49,7 +49,7 @@ def test_a_command_that_is_not_newer_is_not_executed(stamp):
 
 def test_the_first_command_must_begin_at_the_pose_taken_over():
     twin = VirtualRobot(None)
-    twin.take_over(POSE)
+    twin.assume_pose(POSE)
     assert not twin.execute(4, moved(POSE, START_TOLERANCE * 1.01))
     assert (twin.pose, twin.stamp) == (POSE, 0)
     assert twin.execute(4, moved(POSE, START_TOLERANCE * 0.99))
@@ -60,7 +60,7 @@ def test_a_restart_waits_for_the_arm_s_pose_and_drops_commands_still_on_their_wa
     twin.execute(100, HOME)
     twin.restart()
     assert twin.pose is None and not twin.execute(104, HOME)
-    assert twin.take_over(POSE)
+    assert twin.assume_pose(POSE)
     assert not twin.execute(108, HOME)
     assert twin.pose == POSE
 

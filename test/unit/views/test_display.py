@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from construction_twin.ros.nodes.view import view_for
+from construction_twin.ros.nodes.view import rviz_config_for
 
 ROOT = Path(__file__).parents[3]
 VIEWS = sorted((ROOT / "rviz").glob("*.rviz"))
@@ -29,16 +29,16 @@ def test_the_node_ends_well_without_a_display():
 def test_a_view_follows_the_robot_s_name():
     text = (ROOT / "rviz/twin.rviz").read_text()
     for word in ("/kr120/robot_description", "kr120/twin/tool0"):
-        assert word in text and word.replace("kr120", "my_arm") in view_for(text, "my_arm")
-    assert "kr120" not in view_for(text, "my_arm")
-    below = view_for(text, "my_arm", "/cell/")
+        assert word in text and word.replace("kr120", "my_arm") in rviz_config_for(text, "my_arm")
+    assert "kr120" not in rviz_config_for(text, "my_arm")
+    below = rviz_config_for(text, "my_arm", "/cell/")
     assert (
         "Marker Topic: /cell/my_arm/sync_markers\n" in below
         and "TF Prefix: my_arm/twin\n" in below
         and ": /my_arm/" not in below
     )
     two = (ROOT / "rviz/two_robots.rviz").read_text()
-    assert "kr120_1/twin" in two and view_for(two, "my_arm").count("kr120_1/") == two.count("kr120_1/")
+    assert "kr120_1/twin" in two and rviz_config_for(two, "my_arm").count("kr120_1/") == two.count("kr120_1/")
 
 
 @pytest.mark.parametrize("path", VIEWS, ids=lambda path: path.stem)

@@ -4,33 +4,33 @@ from __future__ import annotations
 
 import pytest
 
-from construction_twin.core.records import document
+from construction_twin.core.records import json_value
 from construction_twin.core.reports import TaskReport, WorkReport
-from construction_twin.core.sentences import Sentence, told
+from construction_twin.core.sentences import Sentence, templates_of
 from construction_twin.execution.states import ExecutorState
 from construction_twin.extensions.work.task_memory import TaskState
 from construction_twin.link.observations import LinkState
 from construction_twin.monitor.states import SyncState
-from construction_twin.views.startup import Deployment, Missing, Word
+from construction_twin.views.startup import Deployment, Missing, ReportedState
 from construction_twin.views.status_line import (
     TABLE,
     TOPICS,
+    CurrentReports,
     Level,
-    ReportsNow,
     status_lines,
     work_state,
 )
 
 HERE = Deployment("/kr120", "mock", "127.0.0.1:1883", "127.0.0.1:49152", True)
-WELL = ReportsNow(Word("ARMED", ""), Word("IN_SYNC", ""), Word("IDLE", ""))
+WELL = CurrentReports(ReportedState("ARMED", ""), ReportedState("IN_SYNC", ""), ReportedState("IDLE", ""))
 
 
 def states_of(topic: str) -> list[str]:
     return [state for name, state in TABLE if name == topic]
 
 
-def lines(reports: ReportsNow) -> dict[str, dict]:
-    return {line.topic: document(line) for line in status_lines(reports)}
+def lines(reports: CurrentReports) -> dict[str, dict]:
+    return {line.topic: json_value(line) for line in status_lines(reports)}
 
 
 def test_every_state_of_every_node_has_words():
@@ -49,8 +49,9 @@ def test_all_is_well():
 
 
 def test_the_most_urgent_comes_first_with_the_reason_of_the_node():
-    heard = ReportsNow(
-        Word("ARMED", ""), Word("HOLDING", "joint_a3 differs by 0.7 deg"), Word("HELD", "at 2.1 s"), started=True,
+    heard = CurrentReports(
+        ReportedState("ARMED", ""), ReportedState("HOLDING", "joint_a3 differs by 0.7 deg"),
+        ReportedState("HELD", "at 2.1 s"), started=True,
     )  # fmt: skip
     found = status_lines(heard)
     assert [line.topic for line in found] == ["sync", "execution", "startup", "link"]
@@ -64,14 +65,15 @@ def test_the_most_urgent_comes_first_with_the_reason_of_the_node():
 )
 def test_why_the_arm_holds_comes_before_all_that_follows_from_it(state, words):
     cause = Sentence("{reason}, since {since}", reason="joint_a3 differs by 0.7 deg", since="10:02:03")
-    heard = ReportsNow(
-        Word("ARMED", ""), Word(state, "another reason"), Word("IDLE", ""), plan="p1", cause=cause, obstacle="not in sync",
+    heard = CurrentReports(
+        ReportedState("ARMED", ""), ReportedState(state, "another reason"), ReportedState("IDLE", ""),
+        plan="p1", cause=cause, obstacle="not in sync",
         started=True, missing=Missing("gate_reset", "it holds", HERE),
     )  # fmt: skip
     first, *others = status_lines(heard)
     assert "startup" not in [line.topic for line in others], "that the gate is closed is said already"
     assert (first.topic, first.state) == ("cause", words) and first.sentence.endswith(f": {cause}")
-    assert first.said == told(first.sentence) and cause in first.said and first.level == Level.PERSON
+    assert first.said == templates_of(first.sentence) and cause in first.said and first.level == Level.PERSON
     execution = next(line for line in others if line.topic == "execution")
     assert (execution.state, execution.level) == ("NOT_YET", Level.WAITS) and execution.sentence.endswith(
         ": not in sync"
@@ -79,26 +81,26 @@ def test_why_the_arm_holds_comes_before_all_that_follows_from_it(state, words):
 
 
 def test_what_is_silent_is_a_line_of_its_own():
-    said = lines(ReportsNow())
+    said = lines(CurrentReports())
     assert [line["state"] for line in said.values()] == ["", "", ""] and all(
         line["level"] == 2 for line in said.values()
     )
-    assert "link" not in lines(ReportsNow(arm=False)), "without an arm there is none"
+    assert "link" not in lines(CurrentReports(arm=False)), "without an arm there is none"
 
 
 def test_a_plan_under_review_waits_for_the_reviewer():
-    line = lines(ReportsNow(WELL.link, WELL.sync, WELL.execution, plan="p1"))["execution"]
+    line = lines(CurrentReports(WELL.link, WELL.sync, WELL.execution, plan="p1"))["execution"]
     assert (line["state"], line["who"]) == ("REVIEW", "reviewer")
-    engaged = lines(ReportsNow(WELL.link, WELL.sync, WELL.execution, engaged=True))["execution"]
+    engaged = lines(CurrentReports(WELL.link, WELL.sync, WELL.execution, engaged=True))["execution"]
     assert engaged["state"] == "ENGAGED"
-    playing = lines(ReportsNow(WELL.link, WELL.sync, Word("PLAYING", ""), plan="p1"))["execution"]
+    playing = lines(CurrentReports(WELL.link, WELL.sync, ReportedState("PLAYING", ""), plan="p1"))["execution"]
     assert playing["level"] == 0, "the plan that waits comes after this one"
 
 
 def test_a_bare_plc_is_armed_by_name_and_not_reset():
-    link = Word("NEEDS_RESET", "nobody has armed")
-    assert lines(ReportsNow(link, bare=True))["link"]["state"] == "NEEDS_NAME"
-    assert lines(ReportsNow(link))["link"]["state"] == "NEEDS_RESET"
+    link = ReportedState("NEEDS_RESET", "nobody has armed")
+    assert lines(CurrentReports(link, bare=True))["link"]["state"] == "NEEDS_NAME"
+    assert lines(CurrentReports(link))["link"]["state"] == "NEEDS_RESET"
 
 
 def facts(*states: str, proposed: bool = False, **changes) -> WorkReport:
@@ -123,7 +125,7 @@ def facts(*states: str, proposed: bool = False, **changes) -> WorkReport:
 )
 def test_the_work_is_in_one_state(work, state):
     assert work_state(work) == state
-    said = lines(ReportsNow(work=work))["work"]
+    said = lines(CurrentReports(work=work))["work"]
     assert said["state"] == state and said["sentence"].endswith(": why")
 
 

@@ -16,17 +16,17 @@ from typing import Any
 import pydantic
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.files import read_file, write_whole
-from construction_twin.core.records import dumped
+from construction_twin.core.files import read_file, write_atomically
+from construction_twin.core.records import to_json
 from construction_twin.core.reports import SpeedChange
-from construction_twin.core.sentences import Sentence, told
+from construction_twin.core.sentences import Sentence, templates_of
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.views.status_line import Level, Line
 
 #: Messages that are kept, the newest; and the largest file that is read [bytes].
-MOST, MOST_BYTES = 100, 4 << 20
+MAX_MESSAGES, MAX_BYTES = 100, 4 << 20
 #: A line must stand for so long to be a message [s]: a start passes through many.
-STANDS = 1.0
+MIN_DURATION = 1.0
 #: Topic of what people did.
 PERSON = "person"
 #: For these a person is waited for as a matter of course: they are no messages.
@@ -67,7 +67,7 @@ class MessageBoard:
     """The newest messages, oldest first, for several threads.
 
     Args:
-        tell: Takes the messages as JSON: at the first look, and after each change.
+        publish: Takes the messages as JSON: at the first look, and after each change.
         refuse: Takes as what, and why, a file that cannot be read or written is counted.
         file: Where they are kept; None: only in memory.
         clock: Returns the time of day [s since 1970].
@@ -75,12 +75,12 @@ class MessageBoard:
 
     def __init__(
         self,
-        tell: Callable[[bytes], object],
+        publish: Callable[[bytes], object],
         refuse: Callable[[str, str], object],
         file: Path | None,
         clock: Callable[[], float],
     ):
-        self._tell, self._refuse, self._file, self._clock = tell, refuse, file, clock
+        self._publish, self._refuse, self._file, self._clock = publish, refuse, file, clock
         # held while it is told: what is retained must not be an older one, told by another thread
         self._lock = threading.Lock()
         #: The newest message of a lowered speed limit: its id, the change, and what the limit was before the first step of it.
@@ -88,13 +88,13 @@ class MessageBoard:
         #: What stands, by what tells it from another: since when, and the id of its message once it is one.
         self._standing: dict[tuple[str, ...], tuple[float, str]] = {}
         #: Another tuple after each change.
-        self.messages = self._written = self._kept()
-        self._told: tuple[Message, ...] | None = None
+        self.messages = self._written = self._saved_messages()
+        self._published: tuple[Message, ...] | None = None
 
-    def _kept(self) -> tuple[Message, ...]:
+    def _saved_messages(self) -> tuple[Message, ...]:
         """Return the messages of the file; those that lasted have ended with the last word of the program before."""
         try:
-            found = _Messages.validate_json(read_file(self._file, MOST_BYTES)) if self._file is not None else ()
+            found = _Messages.validate_json(read_file(self._file, MAX_BYTES)) if self._file is not None else ()
         except FileNotFoundError:
             return ()
         except (OSError, ConfigurationError, pydantic.ValidationError) as error:
@@ -108,9 +108,9 @@ class MessageBoard:
     def _changing(self) -> Iterator[None]:
         with self._lock:
             yield
-            if self._told is not self.messages:
-                self._told = self.messages
-                self._tell(dumped(self.messages))
+            if self._published is not self.messages:
+                self._published = self.messages
+                self._publish(to_json(self.messages))
 
     def on_lines(self, lines: Sequence[Line]) -> None:
         """Take the status line as it is now."""
@@ -120,7 +120,7 @@ class MessageBoard:
                 self._replace(self._standing.pop(gone)[1], until=now)
             for key, line in urgent.items():
                 since, id_ = self._standing.setdefault(key, (now, ""))
-                if not id_ and now - since >= STANDS:
+                if not id_ and now - since >= MIN_DURATION:
                     self._standing[key] = since, self._add(line, since)
 
     def on_act(self, act: str, at: float, sentence: str) -> None:
@@ -165,13 +165,13 @@ class MessageBoard:
                 return
             self._written = self.messages
         try:
-            write_whole(self._file, dumped(self._written))
+            write_atomically(self._file, to_json(self._written))
         except OSError as error:
             self._refuse("messages", f"{self._file} was not written: {error.strerror or error}")
 
     def _add(self, line: Line, at: float, until: float | None = None) -> str:
         message = Message(id=uuid.uuid4().hex, at=at, line=line, until=until)
-        self.messages = (*self.messages, message)[-MOST:]
+        self.messages = (*self.messages, message)[-MAX_MESSAGES:]
         return message.id
 
     def _replace(self, id_: str, **changes: Any) -> None:
@@ -182,7 +182,7 @@ class MessageBoard:
 
 
 def _act(act: str, sentence: str) -> Line:
-    return Line(topic=PERSON, state=act, sentence=sentence, said=told(sentence))
+    return Line(topic=PERSON, state=act, sentence=sentence, said=templates_of(sentence))
 
 
 def _goes_on(last: SpeedChange, change: SpeedChange) -> bool:

@@ -61,7 +61,7 @@ class BrokerAddress:
     tls: ssl.SSLContext | None = None
 
 
-class Cut(Exception):
+class PipeClosed(Exception):
     """The connection has to end: the close code, and why."""
 
     def __init__(self, code: int, why: str):
@@ -81,22 +81,22 @@ def drop_silent_peer(connection: socket.socket, seconds: float) -> None:
 class TokenBucket:
     """Tokens that are used up and come back at a rate."""
 
-    __slots__ = ("_burst", "_owed", "_rate", "_seen")
+    __slots__ = ("_burst", "_owed", "_rate", "_updated_at")
 
     def __init__(self, rate: float, burst: float):
         self._rate = rate
         # tokens are counted in ns, so that whole rates and bursts are exact
         self._burst = burst * NANOSECONDS
         self._owed: float = 0
-        self._seen = 0
+        self._updated_at = 0
 
-    def take(self, now: int, amount: float = 1) -> bool:
-        """Use up `amount` tokens; return False, and use up none, where there are fewer."""
+    def spend(self, now: int, amount: float = 1) -> bool:
+        """Spend `amount` tokens; return False, and spend none, where there are fewer."""
         # a clock that goes back gives nothing
-        owed = max(0, self._owed - max(0, now - self._seen) * self._rate) + amount * NANOSECONDS
+        owed = max(0, self._owed - max(0, now - self._updated_at) * self._rate) + amount * NANOSECONDS
         if owed > self._burst:
             return False
-        self._owed, self._seen = owed, now
+        self._owed, self._updated_at = owed, now
         return True
 
 
@@ -125,7 +125,10 @@ class Pipe:
             await self._close(BROKER_AWAY, why)
             return why
         drop_silent_peer(writer.get_extra_info("socket"), _BROKER_SILENCE_S)
-        tasks = asyncio.create_task(self._up(writer)), asyncio.create_task(self._down(reader))
+        tasks = (
+            asyncio.create_task(self._forward_to_broker(writer)),
+            asyncio.create_task(self._forward_to_browser(reader)),
+        )
         try:
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
@@ -135,11 +138,11 @@ class Pipe:
             with contextlib.suppress(OSError, TimeoutError):
                 await asyncio.wait_for(writer.wait_closed(), _BROKER_SILENCE_S)
             return "the browser has left"
-        except Cut as cut:
+        except PipeClosed as closed:
             # what has not reached the broker by now never shall: a verdict that comes late moves an arm that nobody watches
             writer.transport.abort()
-            await self._close(cut.code, str(cut))
-            return str(cut)
+            await self._close(closed.code, str(closed))
+            return str(closed)
         finally:
             for task in tasks:
                 task.cancel()
@@ -152,7 +155,7 @@ class Pipe:
             reason = why[:100].encode("ascii", "replace")
             await asyncio.wait_for(self._browser.close(code=code, message=reason), _CLOSE_S)
 
-    async def _up(self, writer: asyncio.StreamWriter) -> None:
+    async def _forward_to_broker(self, writer: asyncio.StreamWriter) -> None:
         """Carry what the browser sends, until it leaves."""
         limits = self._limits
         frames = TokenBucket(limits.frames_per_s, limits.burst_frames)
@@ -162,10 +165,10 @@ class Pipe:
             if message.type is WSMsgType.ERROR:
                 return
             if message.type is not WSMsgType.BINARY:
-                raise Cut(NOT_MQTT, "a text frame; MQTT is binary")
+                raise PipeClosed(NOT_MQTT, "a text frame; MQTT is binary")
             now = time.monotonic_ns()
-            if not frames.take(now) or not volume.take(now, len(message.data)):
-                raise Cut(
+            if not frames.spend(now) or not volume.spend(now, len(message.data)):
+                raise PipeClosed(
                     TOO_MUCH, f"more than {limits.frames_per_s:g} frames or {limits.bytes_per_s:g} bytes per second"
                 )
             if is_first:
@@ -174,17 +177,17 @@ class Pipe:
             try:
                 await asyncio.wait_for(writer.drain(), _BROKER_SILENCE_S)
             except (OSError, TimeoutError) as error:
-                raise Cut(BROKER_AWAY, f"the broker takes nothing: {error or 'no answer'}") from error
+                raise PipeClosed(BROKER_AWAY, f"the broker takes nothing: {error or 'no answer'}") from error
 
-    async def _down(self, reader: asyncio.StreamReader) -> None:
+    async def _forward_to_browser(self, reader: asyncio.StreamReader) -> None:
         """Carry what the broker sends, until the browser has left."""
         try:
             async with asyncio.timeout(self._limits.login_s):
                 answer = await read_connack(reader)
         except TimeoutError as error:
-            raise Cut(NOT_MQTT, f"no login within {self._limits.login_s:g} s") from error
+            raise PipeClosed(NOT_MQTT, f"no login within {self._limits.login_s:g} s") from error
         except (OSError, asyncio.IncompleteReadError) as error:
-            raise Cut(BROKER_AWAY, "the broker has closed the connection") from error
+            raise PipeClosed(BROKER_AWAY, "the broker has closed the connection") from error
         # an attempt without any account, as the page's first one, is no guess
         if answer[-1] in WRONG_PASSWORD and not self._is_anonymous:
             self._on_wrong()
@@ -199,12 +202,12 @@ class Pipe:
             try:
                 answer = await reader.read(_CHUNK)
             except OSError as error:
-                raise Cut(BROKER_AWAY, f"the broker is silent: {error}") from error
-        raise Cut(BROKER_AWAY, "the broker has closed the connection")
+                raise PipeClosed(BROKER_AWAY, f"the broker is silent: {error}") from error
+        raise PipeClosed(BROKER_AWAY, "the broker has closed the connection")
 
 
 async def read_connack(reader: asyncio.StreamReader) -> bytes:
-    """Return the broker's answer to a login up to its reason code (MQTT 5.0, section 3.2); `Cut` where there is no broker."""
+    """Return the broker's answer to a login up to its reason code (MQTT 5.0, section 3.2); `PipeClosed` without a broker."""
     # type, length, flags, reason code; each byte of the length says whether another one follows
     answer = await reader.readexactly(4)
     length = 1
@@ -212,7 +215,7 @@ async def read_connack(reader: asyncio.StreamReader) -> bytes:
         answer += await reader.readexactly(1)
         length += 1
     if answer[0] != 0x20:
-        raise Cut(BROKER_AWAY, "what answers there is no MQTT broker")
+        raise PipeClosed(BROKER_AWAY, "what answers there is no MQTT broker")
     return answer
 
 

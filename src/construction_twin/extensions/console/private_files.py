@@ -13,7 +13,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.files import read_file, write_whole
+from construction_twin.core.files import read_file, write_atomically
 from construction_twin.robot.packages import Packages
 from construction_twin.scene.mesh_file import binary_stl, parse_mesh
 from construction_twin.scene.objects import Scene, read_mesh_file
@@ -96,7 +96,7 @@ class PrivateFiles:
 
     def _write(self, name: str, contents: str | bytes) -> None:
         try:
-            write_whole(self._folder / name, contents)
+            write_atomically(self._folder / name, contents)
         except OSError as error:
             raise self._refused(error) from error
 

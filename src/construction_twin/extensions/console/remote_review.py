@@ -116,9 +116,9 @@ class PlanView:
     def to_json(self, points: int) -> bytes:
         """Return the payload for `plan`, its tool path thinned to `points` and the ends of the segments."""
         segments = self.segments or ()
-        kept = kept_points(len(self.tool_path), points, [segment.tool_path_end for segment in segments])
+        sampled = sampled_points(len(self.tool_path), points, [segment.tool_path_end for segment in segments])
         sent = [
-            replace(each, tool_path_end=kept.index(each.tool_path_end), put=_object_names(each.put))
+            replace(each, tool_path_end=sampled.index(each.tool_path_end), put=_object_names(each.put))
             for each in segments
         ]
         times = self.trajectory["times"] if self.trajectory is not None else ()
@@ -129,7 +129,7 @@ class PlanView:
             planner=shown(self.planner),
             scene=shown(self.scene),
             frame=shown(self.frame),
-            tool_path=[self.tool_path[k] for k in kept],
+            tool_path=[self.tool_path[k] for k in sampled],
             trajectory=None if too_long else self.trajectory,
             segments=sent or None,
         )
@@ -150,11 +150,11 @@ def _object_names(names: Sequence[str]) -> list[str]:
     return found if len(names) <= _MOST_OBJECTS else [*found, f"and {len(names) - _MOST_OBJECTS} more"]
 
 
-def kept_points(count: int, points: int, keep: Sequence[int] = ()) -> list[int]:
-    """Return the numbers of at most `points` of `count` points, evenly and with both ends, and besides those of `keep`."""
+def sampled_points(count: int, points: int, required: Sequence[int] = ()) -> list[int]:
+    """Return the numbers of at most `points` of `count` points, evenly and with both ends, and besides those of `required`."""
     if count <= points:
         return list(range(count))
-    return sorted({round(k * (count - 1) / (points - 1)) for k in range(points)} | set(keep))
+    return sorted({round(k * (count - 1) / (points - 1)) for k in range(points)} | set(required))
 
 
 class PlanBoard:
@@ -197,11 +197,11 @@ class PathView:
     times: Sequence[Annotated[float, rounded(_MICRO)]]
     tool_path: Sequence[_ShownPoint]
 
-    def to_json(self, points: int, keep: Sequence[int] = ()) -> bytes:
-        """Return the payload for `path`, thinned to `points` and those of `keep`."""
-        kept = kept_points(len(self.tool_path), points, keep)
+    def to_json(self, points: int, required: Sequence[int] = ()) -> bytes:
+        """Return the payload for `path`, thinned to `points` and those of `required`."""
+        sampled = sampled_points(len(self.tool_path), points, required)
         return _PATHS.dump_json(
-            PathView(self.plan_id, [self.times[k] for k in kept], [self.tool_path[k] for k in kept])
+            PathView(self.plan_id, [self.times[k] for k in sampled], [self.tool_path[k] for k in sampled])
         )
 
 

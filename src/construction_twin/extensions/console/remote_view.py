@@ -17,9 +17,9 @@ import pydantic
 from pydantic import Field
 
 from construction_twin.core.freshness import Moment
-from construction_twin.core.records import Says
+from construction_twin.core.records import SchemaKeywords
 from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SpeedReport, SyncReport
-from construction_twin.core.sentences import Told, told
+from construction_twin.core.sentences import SentenceTemplates, templates_of
 from construction_twin.core.units import NANOSECONDS, seconds
 from construction_twin.link.requests import Joints, rounded
 
@@ -37,7 +37,7 @@ _MOVING = ("PLAYING", "STOPPING", "PAUSING")
 # what the schema says of a value besides its type; `since` is the version that has added it
 _Number = Annotated[float, rounded(_POSITION)]
 _Count = Annotated[int, Field(ge=0)]
-_Seconds = Annotated[float, rounded(_TIME), Says(minimum=0)]
+_Seconds = Annotated[float, rounded(_TIME), SchemaKeywords(minimum=0)]
 _Report = TypeVar("_Report", SyncReport, LinkReport, ExecutionReport)
 _Part = TypeVar("_Part")
 
@@ -104,9 +104,9 @@ class LinkView:
     gateway_state: str
     gateway_kind: str
     responsible: str
-    round_trip_ms: Annotated[_Number | None, Says(since=2)]
-    late: Annotated[_Count | None, Says(since=2)]
-    controller: Annotated[ControllerView | None, Says(since=5)]
+    round_trip_ms: Annotated[_Number | None, SchemaKeywords(since=2)]
+    late: Annotated[_Count | None, SchemaKeywords(since=2)]
+    controller: Annotated[ControllerView | None, SchemaKeywords(since=5)]
 
 
 @dataclass(frozen=True)
@@ -162,10 +162,10 @@ class ExecutionView:
     plan_id: str
     outcome: str
     duration: _Seconds
-    progress: Annotated[_Number, Says(minimum=0, maximum=1)]
+    progress: Annotated[_Number, SchemaKeywords(minimum=0, maximum=1)]
     rate: _Number | None
     speed_limit: _Number | None
-    segment: Annotated[SegmentNow | None, Says(since=2)]
+    segment: Annotated[SegmentNow | None, SchemaKeywords(since=2)]
 
 
 @dataclass(frozen=True)
@@ -192,29 +192,29 @@ class View:
     in place of `version` = 1, and leaves alone the keys that it does not know, reads it.
     """
 
-    version: Annotated[int, Says(const=VERSION)]
-    compatible: Annotated[int, Says(const=COMPATIBLE, since=2)]
+    version: Annotated[int, SchemaKeywords(const=VERSION)]
+    compatible: Annotated[int, SchemaKeywords(const=COMPATIBLE, since=2)]
     robot: str
     online: bool
     run: str
     seq: _Count
     stamp: _Seconds
-    moment: Annotated[str, Says(pattern="^([0-9a-f]{8}-[0-9]{1,15})?$", since=3)]
-    units: Annotated[Mapping[str, str], Says(const=_UNITS)]
+    moment: Annotated[str, SchemaKeywords(pattern="^([0-9a-f]{8}-[0-9]{1,15})?$", since=3)]
+    units: Annotated[Mapping[str, str], SchemaKeywords(const=_UNITS)]
     joints: JointsView
     twin: PoseView | None
     arm: PoseView | None
-    expected: Annotated[PoseView | None, Says(since=6)]
+    expected: Annotated[PoseView | None, SchemaKeywords(since=6)]
     sync: SyncView | None
     link: LinkView | None
     execution: ExecutionView | None
-    plan: Annotated[str, Says(since=2)]
-    closest: Annotated[ClosestView | None, Says(since=2)]
-    hold: Annotated[HoldView | None, Says(since=4)]
-    approval_obstacle: Annotated[str, Says(since=4)]
-    speed: Annotated[SpeedView | None, Says(since=5)]
-    overridable: Annotated[bool, Says(since=7)]
-    said: Annotated[Told, Says(since=7)]
+    plan: Annotated[str, SchemaKeywords(since=2)]
+    closest: Annotated[ClosestView | None, SchemaKeywords(since=2)]
+    hold: Annotated[HoldView | None, SchemaKeywords(since=4)]
+    approval_obstacle: Annotated[str, SchemaKeywords(since=4)]
+    speed: Annotated[SpeedView | None, SchemaKeywords(since=5)]
+    overridable: Annotated[bool, SchemaKeywords(since=7)]
+    said: Annotated[SentenceTemplates, SchemaKeywords(since=7)]
 
 
 #: Writes them, 25 a second: in a sixth of the time that `core.records` takes.
@@ -222,7 +222,7 @@ _VIEWS = pydantic.TypeAdapter(View)
 
 
 @dataclass(frozen=True)
-class Shown(Generic[_Report]):
+class FreshReport(Generic[_Report]):
     """A report that is the present, and how long ago it was received [s]."""
 
     report: _Report
@@ -230,14 +230,14 @@ class Shown(Generic[_Report]):
 
 
 @dataclass(frozen=True)
-class Seen:
+class ViewInputs:
     """What a view is made of, `plan` the id of the one under review; None: not known, or too old to be shown as the present."""
 
     twin: PoseView | None = None
     arm: PoseView | None = None
-    sync: Shown[SyncReport] | None = None
-    link: Shown[LinkReport] | None = None
-    execution: Shown[ExecutionReport] | None = None
+    sync: FreshReport[SyncReport] | None = None
+    link: FreshReport[LinkReport] | None = None
+    execution: FreshReport[ExecutionReport] | None = None
     plan: str = ""
     closest: ClosestView | None = None
     progress: float = 0.0
@@ -255,19 +255,19 @@ class ViewWriter:
         self._joints = JointsView(joints.names, ["prismatic" if linear else "revolute" for linear in joints.linear])
         self._seq = 0
 
-    def write(self, now: int, seen: Seen, moment: Moment) -> bytes:
+    def write(self, now: int, inputs: ViewInputs, moment: Moment) -> bytes:
         """Return the next message at the ROS time `now` [ns], with the moment that requests of whoever sees it repeat."""
         self._seq += 1
-        return self._message(True, self._seq, now, seen, str(moment))
+        return self._message(True, self._seq, now, inputs, str(moment))
 
     def offline(self) -> bytes:
         """Return the last will, a run's last message too: nothing is known. Its `seq` and `stamp` are 0, its `moment` is ""."""
-        return self._message(False, 0, 0, Seen(), "")
+        return self._message(False, 0, 0, ViewInputs(), "")
 
-    def _message(self, online: bool, seq: int, now: int, seen: Seen, moment: str) -> bytes:
-        progress, segment = seen.progress, _segment(seen.execution)
-        reports = [each.report for each in (seen.sync, seen.link, seen.execution) if each is not None]
-        execution = seen.execution.report if seen.execution is not None and seen.plan else ExecutionReport("", "")
+    def _message(self, online: bool, seq: int, now: int, inputs: ViewInputs, moment: str) -> bytes:
+        progress, segment = inputs.progress, _segment(inputs.execution)
+        reports = [each.report for each in (inputs.sync, inputs.link, inputs.execution) if each is not None]
+        execution = inputs.execution.report if inputs.execution is not None and inputs.plan else ExecutionReport("", "")
         view = View(
             version=VERSION,
             compatible=COMPATIBLE,
@@ -279,30 +279,34 @@ class ViewWriter:
             moment=moment,
             units=_UNITS,
             joints=self._joints,
-            twin=seen.twin,
-            arm=seen.arm,
-            expected=seen.expected,
-            sync=_part(SyncView, seen.sync),
-            link=_part(LinkView, seen.link, round_trip_ms=_round_trip_ms(seen.sync), controller=_controller(seen.link)),
-            execution=_part(ExecutionView, seen.execution, progress=progress, segment=segment),
-            plan=seen.plan,
-            closest=seen.closest,
-            hold=HoldView(seen.hold.cause, round(seconds(seen.hold.since), _TIME)) if seen.hold.cause else None,
+            twin=inputs.twin,
+            arm=inputs.arm,
+            expected=inputs.expected,
+            sync=_part(SyncView, inputs.sync),
+            link=_part(
+                LinkView, inputs.link, round_trip_ms=_round_trip_ms(inputs.sync), controller=_controller(inputs.link)
+            ),
+            execution=_part(ExecutionView, inputs.execution, progress=progress, segment=segment),
+            plan=inputs.plan,
+            closest=inputs.closest,
+            hold=HoldView(inputs.hold.cause, round(seconds(inputs.hold.since), _TIME)) if inputs.hold.cause else None,
             approval_obstacle=execution.approval_obstacle,
             overridable=execution.overridable,
-            speed=_speed(seen.speed),
-            said=told([each.reason for each in reports], seen.hold.cause, execution.approval_obstacle, seen.speed),
+            speed=_speed(inputs.speed),
+            said=templates_of(
+                [each.reason for each in reports], inputs.hold.cause, execution.approval_obstacle, inputs.speed
+            ),
         )
         return _VIEWS.dump_json(view)
 
 
-def _part(kind: type[_Part], shown: Shown | None, **known: object) -> _Part | None:
+def _part(kind: type[_Part], shown: FreshReport | None, **known: object) -> _Part | None:
     """Return what a view shows of a report: its fields of the same names, where they are not `known` otherwise."""
     if shown is None:
         return None
-    report, given = shown.report, {"state": shown.report.text, "age": shown.age, **known}
+    report, values = shown.report, {"state": shown.report.text, "age": shown.age, **known}
     names = [each.name for each in fields(kind)]  # type: ignore[arg-type]  # a part is a record
-    return kind(**{name: given[name] if name in given else getattr(report, name) for name in names})
+    return kind(**{name: values[name] if name in values else getattr(report, name) for name in names})
 
 
 def _speed(report: SpeedReport | None) -> SpeedView | None:
@@ -312,20 +316,22 @@ def _speed(report: SpeedReport | None) -> SpeedView | None:
     return SpeedView(report.limit, report.by, report.reason, report.people, report.person, since, *whose)
 
 
-def _round_trip_ms(sync: Shown[SyncReport] | None) -> float:
+def _round_trip_ms(sync: FreshReport[SyncReport] | None) -> float:
     # from a setpoint's passing of the gate to the arm's answer to it: the gate measures it, and it says how the link is
     return sync.report.round_trip * 1e3 if sync is not None else math.nan
 
 
-def _controller(shown: Shown[LinkReport] | None) -> ControllerView | None:
-    told = shown.report.gateway_counters if shown is not None else {}
-    mode, program, override = (told.get(f"controller_{name}", "") for name in ("mode", "program", "override_percent"))
+def _controller(shown: FreshReport[LinkReport] | None) -> ControllerView | None:
+    counters = shown.report.gateway_counters if shown is not None else {}
+    mode, program, override = (
+        counters.get(f"controller_{name}", "") for name in ("mode", "program", "override_percent")
+    )
     # the gateway has sent a number, and the bridge has checked that it is a number or a text
     percent = float(override) if _DIGITS.fullmatch(override) else None
     return ControllerView(mode, program, percent) if mode or program or percent is not None else None
 
 
-def _segment(shown: Shown[ExecutionReport] | None) -> SegmentNow | None:
+def _segment(shown: FreshReport[ExecutionReport] | None) -> SegmentNow | None:
     if shown is None or shown.report.segment < 0:
         return None
     report = shown.report

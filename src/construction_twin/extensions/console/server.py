@@ -195,9 +195,9 @@ class ConsoleServer:
                 server.close()
             await runner.cleanup()
 
-    def _say(self, kind: str, level: int, sentence: str) -> None:
+    def _log_limited(self, kind: str, level: int, sentence: str) -> None:
         """Write a line that others can cause: one of its kind per second."""
-        if (more := self._lines.note(kind, time.monotonic_ns())) is not None:
+        if (more := self._lines.admit(kind, time.monotonic_ns())) is not None:
             log.log(level, "%s%s", sentence, more)
 
     # -- files
@@ -246,7 +246,7 @@ class ConsoleServer:
         if not why and browser.can_prepare(request).protocol != SUBPROTOCOL:
             why = f"expected a WebSocket with the subprotocol {SUBPROTOCOL}"
         if why:
-            self._say("refused", logging.WARNING, f"{peer} refused: {why}")
+            self._log_limited("refused", logging.WARNING, f"{peer} refused: {why}")
             raise web.HTTPForbidden(text=f"{why}\n")
         session = self._session(request, browser)
         await browser.prepare(request)
@@ -257,14 +257,14 @@ class ConsoleServer:
 
         def on_accepted() -> None:
             self._logged_in[address] = session
-            self._say("login", logging.INFO, f"{peer} logged in")
+            self._log_limited("login", logging.INFO, f"{peer} logged in")
 
         def on_wrong() -> None:
-            self._say("wrong", logging.WARNING, f"{peer}: wrong account or password")
+            self._log_limited("wrong", logging.WARNING, f"{peer}: wrong account or password")
 
         try:
             how = await Pipe(browser, settings.limits, on_accepted, on_wrong).run(settings.broker)
-            self._say("end", logging.INFO, f"{peer}: {how}")
+            self._log_limited("end", logging.INFO, f"{peer}: {how}")
         finally:
             self._logged_in.pop(address, None)
             # who takes nothing would keep its place
@@ -290,8 +290,8 @@ def _file(folder: Path | None, name: str, who: str = "") -> web.FileResponse:
         found = False
     if not found:
         raise web.HTTPNotFound(text="no such file\n")
-    kept = "max-age=31536000, immutable" if _HASHED.search(path.name) else "no-cache"
-    return web.FileResponse(path, headers={"Cache-Control": who + kept})
+    caching = "max-age=31536000, immutable" if _HASHED.search(path.name) else "no-cache"
+    return web.FileResponse(path, headers={"Cache-Control": who + caching})
 
 
 def _is_own_error(record: logging.LogRecord) -> bool:

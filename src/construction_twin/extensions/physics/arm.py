@@ -93,21 +93,21 @@ class SimulatedArm:
         """Have the arm move already, shape (n,) [rad/s]."""
         self._speed = np.array(speed, dtype=float)
         self.data.qvel[self._joints] = speed
-        self.physics.follow(self.data)
+        self.physics.set_followers(self.data)
 
     def freeze(self, joint: int, position: float) -> None:
         """Put one joint at rest at `position` [rad], [m], in the arm and in the servo's answer; the others go on."""
         place = self._joints[joint]
         self.answer[joint], self._speed[joint] = position, 0.0
         self.data.qpos[place], self.data.qvel[place] = position, 0.0
-        self.physics.follow(self.data)
+        self.physics.set_followers(self.data)
 
-    def go_on_as(self, before: SimulatedArm) -> None:
-        """Take over pose, speed and the servo's state of an arm in another scene."""
+    def continue_from(self, before: SimulatedArm) -> None:
+        """Continue with pose, speed and servo state of an arm in another scene."""
         self.answer, self._speed, self.setpoint = before.answer.copy(), before._speed.copy(), before.setpoint.copy()
         self.data.qpos[self._joints] = before.q
         self.data.qvel[self._joints] = before.data.qvel[before._joints]
-        self.physics.follow(self.data)
+        self.physics.set_followers(self.data)
 
     def speeds_of(self, body: str) -> np.ndarray:
         """Return where the speed of a loose body is among MuJoCo's, shape (6,)."""
@@ -206,7 +206,7 @@ class GravityTorque:
     def kinetic(self, data: mujoco.MjData) -> float:
         """Return the kinetic energy of the arm with what it carries [J]; what falls or is pushed is none of it."""
         self._speed[self._physics.joints] = data.qvel[self._physics.joints]
-        self._physics.lead(self._speed)
+        self._physics.set_follower_rates(self._speed)
         mujoco.mj_mulM(self._physics.model, data, self._product, self._speed)
         return 0.5 * float(self._speed @ self._product)
 

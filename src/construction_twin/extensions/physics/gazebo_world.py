@@ -24,9 +24,9 @@ from construction_twin.extensions.physics.mass import (
     GRAVITY,
     STEP,
     MassProperties,
+    combined,
     of_link,
     of_object,
-    together,
 )
 from construction_twin.robot.packages import Packages
 from construction_twin.scene.collision_bodies import Body, RobotBodies, mesh_triangles
@@ -182,7 +182,7 @@ class _Builder:
             part = of_object(pieces)
             parts.append(part.at(pieces[0].placement))
             self._remarks.append(f"mass of {owner} is an estimate from its volume: {part.mass:.1f} kg")
-        return together(parts)
+        return combined(parts)
 
     def _add_shapes(
         self,
@@ -240,7 +240,7 @@ def _looks(bodies: RobotBodies) -> dict[int, list[Element]]:
     """Return the visuals of the URDF by the joint that moves them; a mesh that is not found is an error, as in a collision."""
     root, packages = ElementTree.fromstring(bodies.robot.urdf), Packages()
     frames = bodies.model.frames
-    found: dict[int, list[Element]] = {}
+    visuals: dict[int, list[Element]] = {}
     for link in root.iter("link"):
         name = link.get("name", "")
         for number, visual in enumerate(link.iterfind("visual")):
@@ -249,17 +249,17 @@ def _looks(bodies: RobotBodies) -> dict[int, list[Element]]:
                 continue
             frame = frames[bodies.model.getFrameId(name, pinocchio.FrameType.BODY)]
             origin = visual.find("origin")
-            given = {} if origin is None else origin.attrib
-            xyz, rpy = (np.array(given.get(key, "0 0 0").split(), dtype=float) for key in ("xyz", "rpy"))
+            attributes = {} if origin is None else origin.attrib
+            xyz, rpy = (np.array(attributes.get(key, "0 0 0").split(), dtype=float) for key in ("xyz", "rpy"))
             placement = frame.placement * pinocchio.SE3(pinocchio.rpy.rpyToMatrix(*rpy), xyz)
-            made = ElementTree.Element("visual", name=f"looks_{_name(name)}_{number}")
-            _add(made, "pose", *_pose(placement))
+            element = ElementTree.Element("visual", name=f"looks_{_name(name)}_{number}")
+            _add(element, "pose", *_pose(placement))
             file = packages.file(mesh.get("filename", ""), f"URDF link {name} visual mesh")
-            drawn = _add(_add(made, "geometry"), "mesh")
+            drawn = _add(_add(element, "geometry"), "mesh")
             _add(drawn, "uri", f"file://{file}")
             _add(drawn, "scale", *mesh.get("scale", "1 1 1").split())
-            found.setdefault(frame.parentJoint, []).append(made)
-    return found
+            visuals.setdefault(frame.parentJoint, []).append(element)
+    return visuals
 
 
 def _stl(shape: coal.CollisionGeometry) -> bytes:

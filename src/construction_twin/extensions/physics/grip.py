@@ -20,7 +20,7 @@ import pinocchio
 from construction_twin.extensions.physics.model import GRAVITY, PhysicsModel
 from construction_twin.review.rehearsal_report import GripLoad
 from construction_twin.robot.frames import rpy_to_quaternion
-from construction_twin.robot.tool import Cups, Place
+from construction_twin.robot.tool import Cups, FilePose
 from construction_twin.scene.collision_bodies import Body
 
 #: Friction of a cup's lip on what it holds [1] of which nobody says more: dry board, stone and metal.
@@ -47,7 +47,7 @@ class SuctionGrip:
     holds: float
 
     @staticmethod
-    def of(cups: Cups, tip_T_tcp: Place) -> SuctionGrip:
+    def of(cups: Cups, tip_T_tcp: FilePose) -> SuctionGrip:
         """Return the grip of all cups of a tool."""
         pose = np.array((*tip_T_tcp.xyz, *rpy_to_quaternion(tip_T_tcp.rpy_deg)), dtype=float)
         at = np.array(cups.at, dtype=float)
@@ -84,7 +84,7 @@ class SuctionGrip:
         return loads.max(axis=1) / (self.holds / len(_LIP))
 
 
-class GripWatch:
+class GripLoadRecorder:
     """Records what cups must exert on a workpiece, cycle by cycle; `pieces`: names of its objects, `joint`: above the tip."""
 
     def __init__(
@@ -106,8 +106,8 @@ class GripWatch:
         self._forces: list[np.ndarray] = []
         self._moments: list[np.ndarray] = []
 
-    def note(self, time: float, data: mujoco.MjData) -> None:
-        """Add the last step, at `time` of the plan [s]: its accelerations, and the forces of what the workpiece touched."""
+    def record_step(self, time: float, data: mujoco.MjData) -> None:
+        """Record the last step, at `time` of the plan [s]: its accelerations, and the forces on the workpiece."""
         mujoco.mj_rnePostConstraint(self._model, data)
         moment, force = data.cfrc_int[self._pieces].sum(axis=0).reshape(2, 3)
         rotation = data.xmat[self._holder].reshape(3, 3)

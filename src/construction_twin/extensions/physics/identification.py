@@ -37,8 +37,8 @@ _GUESSES = (25.0, 60.0, 150.0)
 
 
 @dataclass(frozen=True)
-class Drive:
-    """A stretch of a recording without a gap, from rest: one row per cycle.
+class RecordedMotion:
+    """A recorded motion without a gap, from rest: one row per cycle.
 
     Attributes:
         targets, measured: Shape (m, n). What the controller took, and where the arm was at the end of the cycle [rad].
@@ -68,7 +68,7 @@ class IdentifiedJoint:
     residual_max: float
 
 
-def identify(names: Sequence[str], drives: Sequence[Drive], cycle_ns: int) -> tuple[IdentifiedJoint, ...]:
+def identify(names: Sequence[str], drives: Sequence[RecordedMotion], cycle_ns: int) -> tuple[IdentifiedJoint, ...]:
     """Find the servo of every joint; `cycle_ns`: of the controller [ns]."""
     if not drives or not sum(int(drive.counts.sum()) for drive in drives):
         raise ConstructionTwinError(NO_MOTION)
@@ -126,14 +126,14 @@ def _with_backlash(x: np.ndarray, play: float) -> np.ndarray:
     return np.array(out)
 
 
-def _moving(drive: Drive, joint: int, period: float) -> np.ndarray:
+def _moving(drive: RecordedMotion, joint: int, period: float) -> np.ndarray:
     """Return which judged rows are in motion, or less than 0.2 s after it, shape (m,)."""
     speed = np.abs(np.diff(drive.targets[:, joint], prepend=drive.targets[0, joint])) / period
     recent = np.convolve(speed > SPEED / 10.0, np.ones(round(0.2 / period)))[: len(speed)] > 0
     return drive.counts & recent
 
 
-def _excited(drives: Sequence[Drive], joint: int, period: float) -> bool:
+def _excited(drives: Sequence[RecordedMotion], joint: int, period: float) -> bool:
     travel = speed = 0.0
     samples = 0
     for drive in drives:
@@ -149,7 +149,7 @@ def _excited(drives: Sequence[Drive], joint: int, period: float) -> bool:
 class _Fit:
     """The fit of one joint."""
 
-    def __init__(self, drives: Sequence[Drive], joint: int, period: float):
+    def __init__(self, drives: Sequence[RecordedMotion], joint: int, period: float):
         self._period = period
         self._drives = [(drive.targets[:, joint], drive.measured[:, joint]) for drive in drives]
         self._rows = [_moving(drive, joint, period) for drive in drives]
@@ -159,19 +159,19 @@ class _Fit:
         """Return the servo with as many of its options as earn their place."""
         starts = [JointServo(guess, 0.8) for guess in _GUESSES]
         servo, cost = min((self._solve(start, ()) for start in starts), key=lambda found: found[1])
-        taken: tuple[str, ...] = ()
-        while len(taken) < len(_OPTIONS):
-            tried = {option: self._taking_in(servo, taken, option) for option in _OPTIONS if option not in taken}
+        options: tuple[str, ...] = ()
+        while len(options) < len(_OPTIONS):
+            tried = {option: self._with_option(servo, options, option) for option in _OPTIONS if option not in options}
             option = min(tried, key=lambda each: tried[each][1])
             better, lower = tried[option]
             fewer = self._count * np.log(max(lower, 1e-300) / cost) + np.log(self._count)
             if not (fewer < 0.0 and lower < cost * (1.0 - _GAIN)):
                 break
-            servo, cost, taken = better, lower, (*taken, option)
-        return self._judged(name, servo, taken)
+            servo, cost, options = better, lower, (*options, option)
+        return self._with_deviations(name, servo, options)
 
-    def _taking_in(self, servo: JointServo, taken: tuple[str, ...], option: str) -> tuple[JointServo, float]:
-        return self._solve(replace(servo, **{option: _OPTIONS[option][0]}), (*taken, option))
+    def _with_option(self, servo: JointServo, options: tuple[str, ...], option: str) -> tuple[JointServo, float]:
+        return self._solve(replace(servo, **{option: _OPTIONS[option][0]}), (*options, option))
 
     def _residuals(self, servo: JointServo) -> np.ndarray:
         return np.concatenate(
@@ -181,42 +181,42 @@ class _Fit:
             ]
         )
 
-    def _solve(self, start: JointServo, taken: tuple[str, ...]) -> tuple[JointServo, float]:
+    def _solve(self, start: JointServo, options: tuple[str, ...]) -> tuple[JointServo, float]:
         """Return the best servo near `start`, and its sum of squares."""
-        lower = [np.log(2.0), np.log(0.05), *(_OPTIONS[each][2] / _OPTIONS[each][1] for each in taken)]
-        upper = [np.log(2000.0), np.log(10.0), *(_OPTIONS[each][3] / _OPTIONS[each][1] for each in taken)]
-        values = np.clip(_values(start, taken), np.array(lower) + 1e-9, np.array(upper) - 1e-9)
+        lower = [np.log(2.0), np.log(0.05), *(_OPTIONS[each][2] / _OPTIONS[each][1] for each in options)]
+        upper = [np.log(2000.0), np.log(10.0), *(_OPTIONS[each][3] / _OPTIONS[each][1] for each in options)]
+        values = np.clip(_values(start, options), np.array(lower) + 1e-9, np.array(upper) - 1e-9)
         found = least_squares(
-            lambda each: self._residuals(_servo(each, taken)) * 1e4, values, bounds=(lower, upper), max_nfev=60
+            lambda each: self._residuals(_servo(each, options)) * 1e4, values, bounds=(lower, upper), max_nfev=60
         )
-        return _servo(found.x, taken), 2.0 * float(found.cost) * 1e-8
+        return _servo(found.x, options), 2.0 * float(found.cost) * 1e-8
 
-    def _judged(self, name: str, servo: JointServo, taken: tuple[str, ...]) -> IdentifiedJoint:
-        values, residuals = _values(servo, taken), self._residuals(servo)
-        jacobian = approx_fprime(values, lambda each: self._residuals(_servo(each, taken)), 1e-4)
-        slope = approx_fprime(values, lambda each: _servo(each, taken).lag(self._period), 1e-4)
+    def _with_deviations(self, name: str, servo: JointServo, options: tuple[str, ...]) -> IdentifiedJoint:
+        values, residuals = _values(servo, options), self._residuals(servo)
+        jacobian = approx_fprime(values, lambda each: self._residuals(_servo(each, options)), 1e-4)
+        slope = approx_fprime(values, lambda each: _servo(each, options).lag(self._period), 1e-4)
         rms = float(np.sqrt(np.mean(residuals**2)))
         # neighbouring samples err alike: their noise is rounding, and what the model lacks; counted as one in ten
         covariance = np.linalg.pinv(jacobian.T @ jacobian) * 10.0 * rms**2
-        scales = [servo.omega, servo.zeta, *(_OPTIONS[each][1] for each in taken)]
+        scales = [servo.omega, servo.zeta, *(_OPTIONS[each][1] for each in options)]
         spread = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * scales
         return IdentifiedJoint(
             name,
             servo,
             float(np.sqrt(max(slope @ covariance @ slope, 0.0))),
-            dict(zip(("omega", "zeta", *taken), spread.tolist())),
+            dict(zip(("omega", "zeta", *options), spread.tolist())),
             rms,
             float(np.abs(residuals).max()),
         )
 
 
-def _values(servo: JointServo, taken: tuple[str, ...]) -> np.ndarray:
-    others = [getattr(servo, each) / _OPTIONS[each][1] for each in taken]
+def _values(servo: JointServo, options: tuple[str, ...]) -> np.ndarray:
+    others = [getattr(servo, each) / _OPTIONS[each][1] for each in options]
     return np.array([np.log(servo.omega), np.log(servo.zeta), *others])
 
 
-def _servo(values: np.ndarray, taken: tuple[str, ...]) -> JointServo:
-    others = {each: float(value) * _OPTIONS[each][1] for each, value in zip(taken, values[2:])}
+def _servo(values: np.ndarray, options: tuple[str, ...]) -> JointServo:
+    others = {each: float(value) * _OPTIONS[each][1] for each, value in zip(options, values[2:])}
     for each in ("delay", "backlash"):
         if each in others:
             others[each] = max(others[each], 0.0)

@@ -23,7 +23,7 @@ SETTLING = 2.0
 LARGEST_TRACKING = math.radians(0.5)
 
 
-def reasons(report: RehearsalReport, linear: Set[str]) -> Iterator[Sentence]:
+def failure_reasons(report: RehearsalReport, linear: Set[str]) -> Iterator[Sentence]:
     """Yield why a rehearsal has failed; `linear`: names of prismatic joints."""
     load, centre = report.payload, Sentence("centre of mass from the flange")
     for what, found, rated, unit in (

@@ -1,6 +1,6 @@
 """The twin with mass: one cycle of the simulated arm per command, in the scene of the moment. A `TwinBackend`.
 
-Models are built elsewhere; `take_model` may be called from any thread. The same cycles in the same models give the same bytes.
+Models are built elsewhere; `set_model` may be called from any thread. The same cycles in the same models give the same bytes.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ class LiveTwin:
         self.diverged = 0
 
     @property
-    def problem(self) -> str:
+    def fault(self) -> str:
         """Why what is shown is not a simulation, or was begun anew; empty: it is one."""
         if self._model is None and not self._next:
             return "nothing is simulated before the scene is known: the twin is where it is told to be"
         anew = "the simulation was begun anew at the commanded pose, because its numbers had become useless"
         return f"{anew}: {self.diverged} times so far" if self.diverged else ""
 
-    def take_model(self, model: PhysicsModel) -> None:
-        """Go on in another model from the next cycle on, with pose, speed and servo as they are then."""
+    def set_model(self, model: PhysicsModel) -> None:
+        """Continue in another model from the next cycle on, with the pose, speed and servo state of that moment."""
         self._next.append(model)
 
     def restart(self) -> None:
@@ -71,7 +71,7 @@ class LiveTwin:
             self._model = model
             self._arm = SimulatedArm(model, commanded if before is None else before.q, self._servo)
             if before is not None:
-                self._arm.go_on_as(before)
+                self._arm.continue_from(before)
                 mujoco.mj_forward(model.model, self._arm.data)
         elif self._arm is None and self._model is not None:
             self._arm = SimulatedArm(self._model, commanded, self._servo)

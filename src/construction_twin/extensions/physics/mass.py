@@ -70,7 +70,7 @@ def payload_of(numbers: Sequence[float], name: str) -> MassProperties | None:
     return MassProperties(mass, np.array(centre or (0.0, 0.0, 0.0)), np.eye(3) * mass * 0.04 / 6.0)
 
 
-def together(parts: Sequence[MassProperties]) -> MassProperties:
+def combined(parts: Sequence[MassProperties]) -> MassProperties:
     """Return the properties of parts that are one rigid body, all in one frame."""
     mass = sum(part.mass for part in parts)
     centre = sum((part.mass * part.centre for part in parts), np.zeros(3)) / mass
@@ -105,7 +105,7 @@ def of_object(pieces: Sequence[Body]) -> MassProperties:
     if shapes is not None and shapes.whole is not None:
         return of_shape(shapes.whole)
     parts = [of_shape(piece.geometry) for piece in pieces]
-    return parts[0] if len(parts) == 1 else together(parts)
+    return parts[0] if len(parts) == 1 else combined(parts)
 
 
 def of_link(bodies: RobotBodies, index: int) -> tuple[MassProperties, list[str]]:
@@ -116,7 +116,7 @@ def of_link(bodies: RobotBodies, index: int) -> tuple[MassProperties, list[str]]
     name, inertia = bodies.model.names[index], bodies.model.inertias[index]
     if inertia.mass <= 0.0:
         shapes = [of_shape(one.geometry).at(one.placement) for one in bodies.bodies if one.joint == index]
-        found = together(shapes) if shapes else MassProperties(LEAST_MASS, np.zeros(3), np.eye(3) * 1e-6, True)
+        found = combined(shapes) if shapes else MassProperties(LEAST_MASS, np.zeros(3), np.eye(3) * 1e-6, True)
         how = f"the URDF gives no mass for what {name} moves; estimated from its shapes: {found.mass:.1f} kg"
         return found, [how] if found.estimated else []
     matrix = np.array(inertia.inertia, dtype=float)

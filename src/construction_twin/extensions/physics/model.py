@@ -21,9 +21,9 @@ from construction_twin.extensions.physics.mass import (
     GRAVITY,
     STEP,
     MassProperties,
+    combined,
     of_link,
     of_object,
-    together,
 )
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.scene.collision_bodies import Body, RobotBodies, is_convex, mesh_triangles
@@ -40,7 +40,7 @@ mujoco.set_mju_user_warning(lambda _message: None)
 
 
 @dataclass(frozen=True)
-class Follower:
+class MimicJoint:
     """A joint that follows another: ``factor`` times its value, plus ``offset`` [rad] or [m]."""
 
     place: int
@@ -72,7 +72,7 @@ class PhysicsModel:
     drives: ArmDrives
     owners: tuple[str, ...]
     loose: Mapping[str, int]
-    followers: tuple[Follower, ...]
+    followers: tuple[MimicJoint, ...]
     shares: np.ndarray | None
     inertias: np.ndarray
     related: np.ndarray
@@ -84,18 +84,18 @@ class PhysicsModel:
         """Return a state at rest with the arm at `q`, shape (n,) [rad] or [m]."""
         data = mujoco.MjData(self.model)
         data.qpos[self.joints] = q
-        self.follow(data)
+        self.set_followers(data)
         mujoco.mj_forward(self.model, data)
         return data
 
-    def follow(self, data: mujoco.MjData) -> None:
-        """Put the joints that follow another where the arm's pose and speed have them."""
+    def set_followers(self, data: mujoco.MjData) -> None:
+        """Set pose and speed of the joints that follow another."""
         for one in self.followers:
             data.qpos[one.place] = one.offset + one.factor * data.qpos[one.leader]
             data.qvel[one.place] = one.factor * data.qvel[one.leader]
 
-    def lead(self, rates: np.ndarray) -> None:
-        """Give the joints that follow the rates that those of their leaders mean, shape (nv,)."""
+    def set_follower_rates(self, rates: np.ndarray) -> None:
+        """Set the rates of the joints that follow another, in `rates` of shape (nv,)."""
         for one in self.followers:
             rates[one.place] = one.factor * rates[one.leader]
 
@@ -203,10 +203,10 @@ class _Builder:
         """Add a body per joint, and return them by Pinocchio's index of the joint; 0 is the world."""
         data = model.createData()
         pinocchio.forwardKinematics(model, data, pinocchio.neutral(model))
-        made = [self._spec.worldbody]
+        joint_bodies = [self._spec.worldbody]
         for index in range(1, model.njoints):
             placement = model.jointPlacements[index]
-            body = made[model.parents[index]].add_body(
+            body = joint_bodies[model.parents[index]].add_body(
                 name=f"joint\n{model.names[index]}", pos=placement.translation, quat=_quaternion(placement.rotation)
             )
             if not model.parents[index]:
@@ -222,12 +222,12 @@ class _Builder:
             inertia, remarks = of_link(self._robot_bodies, index)
             self._remarks += remarks
             _set_mass(body, inertia)
-            made.append(body)
+            joint_bodies.append(body)
         for link, shapes in itertools.groupby(self._robot_bodies.bodies, key=lambda one: one.owner):
             pieces = list(shapes)
             # a body of its own per link: pairs are left out link by link
-            self._add_geoms(made[pieces[0].joint].add_body(name=link), pieces)
-        return made
+            self._add_geoms(joint_bodies[pieces[0].joint].add_body(name=link), pieces)
+        return joint_bodies
 
     def _add_objects(self, joints: list) -> list[tuple[Body, MassProperties]]:
         """Add the scene's objects, and return those that the arm carries with what they weigh."""
@@ -296,7 +296,7 @@ class _Builder:
             part = flange.at(frame.placement)
             _set_mass(joints[frame.parentJoint].add_body(name="payload\n"), part)
             parts.append(part)
-        return together(parts) if parts else None
+        return combined(parts) if parts else None
 
     def _add_geoms(self, holder, pieces: Sequence[Body], placed: bool = True) -> None:
         """Add the shapes of a link or an object, with a remark where they are not the planner's, or more than the mesh."""
@@ -402,11 +402,11 @@ def _unplanned(owners: Sequence[str], checked: set[frozenset[str]]) -> np.ndarra
     return found
 
 
-def _followers(model: mujoco.MjModel) -> tuple[Follower, ...]:
+def _followers(model: mujoco.MjModel) -> tuple[MimicJoint, ...]:
     """Return the joints that are tied to others."""
     places = model.jnt_dofadr[np.column_stack((model.eq_obj1id, model.eq_obj2id))].tolist()
     return tuple(
-        Follower(place, leader, float(factor), float(offset))
+        MimicJoint(place, leader, float(factor), float(offset))
         for (place, leader), (offset, factor) in zip(places, model.eq_data[:, :2])
     )
 

@@ -39,7 +39,7 @@ PROGRAM = (sys.executable, "-m", "construction_twin.extensions.physics.process")
 
 
 @dataclass(frozen=True, eq=False)
-class Question:
+class RehearsalRequest:
     """A plan to rehearse.
 
     Attributes:
@@ -66,8 +66,8 @@ class Question:
         known: Mapping[str, float],
         placed: Set[str],
         constant: str,
-    ) -> Question:
-        """Return the question of a plan; raises SceneError if a change does not lead to the scene that its segment names.
+    ) -> RehearsalRequest:
+        """Return the request of a plan; raises SceneError if a change does not lead to the scene that its segment names.
 
         Args:
             scene: That it begins in; None: unknown.
@@ -100,7 +100,7 @@ def file_digest(path: str) -> str:
 
 
 @lru_cache(maxsize=1)
-def prepared(
+def load_rehearsal(
     robot: RobotModel, self_collision: str, drives: str, tool: str = "", payload: tuple[float, ...] = ()
 ) -> Rehearsal:
     """Return what rehearses the plans of an arm; of its files `drives` and `tool` may be empty; `payload` as in `payload_of`."""
@@ -117,20 +117,20 @@ def prepared(
 
 
 def build(arm: Mapping, scene: Scene, masses: Mapping[str, float]) -> PhysicsModel:
-    """Return the model of an arm, the arguments of `prepared`, in a scene; masses of bodies that it carries [kg]."""
+    """Return the model of an arm, the arguments of `load_rehearsal`, in a scene; masses of bodies that it carries [kg]."""
     from construction_twin.extensions.physics.model import Load, build_model
 
-    of = prepared(**arm)
+    of = load_rehearsal(**arm)
     load = Load(masses_of(masses, (scene,), of.bodies), flange=of.flange)
     return build_model(of.bodies, scene, of.self_collision, of.drives, load)
 
 
-def rehearse(arm: Mapping, question: Question) -> RehearsalReport:
-    """Return what the rehearsal of a plan by an arm, the arguments of `prepared`, finds."""
-    rehearsal = prepared(**arm)
-    masses = masses_of(question.masses, question.scenes.values(), rehearsal.bodies, question.standing)
-    found = replace(rehearsal, masses=masses, unweighed=question.unweighed, inputs=question.inputs)
-    return found.of_plan(question.plan, question.scenes, time.perf_counter)
+def rehearse(arm: Mapping, request: RehearsalRequest) -> RehearsalReport:
+    """Return what the rehearsal of a plan by an arm, the arguments of `load_rehearsal`, finds."""
+    rehearsal = load_rehearsal(**arm)
+    masses = masses_of(request.masses, request.scenes.values(), rehearsal.bodies, request.standing)
+    found = replace(rehearsal, masses=masses, unweighed=request.unweighed, inputs=request.inputs)
+    return found.of_plan(request.plan, request.scenes, time.perf_counter)
 
 
 if __name__ == "__main__":

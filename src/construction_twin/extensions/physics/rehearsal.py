@@ -21,12 +21,19 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.extensions.physics.arm import GravityTorque, Servo, SimulatedArm, is_broken
 from construction_twin.extensions.physics.drive import ArmDrives
-from construction_twin.extensions.physics.grip import GripWatch, SuctionGrip
-from construction_twin.extensions.physics.judgement import SETTLING, STAYS, STAYS_TURNED, reasons, worst_payload
+from construction_twin.extensions.physics.grip import GripLoadRecorder, SuctionGrip
+from construction_twin.extensions.physics.judgement import SETTLING, STAYS, STAYS_TURNED, failure_reasons, worst_payload
 from construction_twin.extensions.physics.known_mass import TOOL, body_of
 from construction_twin.extensions.physics.mass import MassProperties
 from construction_twin.extensions.physics.model import Load, PhysicsModel, build_model
-from construction_twin.extensions.physics.standing import MOST, STILL, Standing, come_to_rest, displacement, nearest
+from construction_twin.extensions.physics.standing import (
+    MOST,
+    STILL,
+    RestingBodies,
+    come_to_rest,
+    displacement,
+    nearest_bodies,
+)
 from construction_twin.review.rehearsal_report import (
     FAILED,
     PASSED,
@@ -36,13 +43,13 @@ from construction_twin.review.rehearsal_report import (
     LooseObject,
     RehearsalReport,
     RehearsedContact,
-    finished,
     has_finite_numbers,
+    with_hash,
 )
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_bodies import RobotBodies
-from construction_twin.scene.objects import Scene, SceneObject, listed
+from construction_twin.scene.objects import Scene, SceneObject, names_text
 from construction_twin.scene.self_collision import SelfCollision
 
 #: A contact that the plan does not have counts from this force on [N]: two bodies that graze each other within rounding do not.
@@ -89,7 +96,7 @@ class Rehearsal:
         missing = [each for each in (*wanted, last) if each not in scenes]
         if missing:
             reason = Sentence("the scene {scene} that a segment needs is not known here", scene=missing[0][:12])
-            return finished(replace(named, reasons=(reason,)), clock() - begin)
+            return with_hash(replace(named, reasons=(reason,)), clock() - begin)
         ends = [segment.end for segment in plan.segments] or [plan.trajectory.duration]
         parts = [(scenes[scene], end) for scene, end in zip(wanted, ends)]
         run = _Run(self, plan.trajectory, parts, scenes[last])
@@ -99,7 +106,7 @@ class Rehearsal:
         except (ConstructionTwinError, mujoco.FatalError, ValueError) as error:
             reason = Sentence("the simulation broke off: {problem}", problem=" ".join(str(error).split()))
             found = replace(named, reasons=(reason,))
-        return finished(found, clock() - begin)
+        return with_hash(found, clock() - begin)
 
 
 #: What simulates.
@@ -163,8 +170,8 @@ class _Track:
         self.kinetic: list[float] = []
         self.off = np.zeros(len(self.limit))
 
-    def note(self, arm: SimulatedArm, peak: np.ndarray, gravity: GravityTorque) -> None:
-        """Add a cycle, with the largest torque of each axis in it."""
+    def record_cycle(self, arm: SimulatedArm, peak: np.ndarray, gravity: GravityTorque) -> None:
+        """Record a cycle, with the largest torque of each axis in it."""
         q = arm.q
         self.torques.append(peak)
         self.speeds.append(arm.data.qvel[arm.physics.joints].copy())
@@ -226,7 +233,7 @@ class _Run:
         self._displaced: dict[str, LooseObject] = {}
         self._grips = [GripLoad()]
         self._remarks: list[str] = []
-        self._standing = Standing()
+        self._standing = RestingBodies()
         #: What has a mass and is part of the world all the same.
         self._fixed: frozenset[str] = frozenset()
 
@@ -237,7 +244,7 @@ class _Run:
         arm: SimulatedArm | None = None
         first, begin = 0, 0.0
         started = clock()
-        if not self._let_stand(setpoints):
+        if not self._settle_standing(setpoints):
             return self._diverged(named, 0.0)
         settle = clock() - started
         for number, (scene, end) in enumerate(self._parts):
@@ -256,7 +263,7 @@ class _Run:
         settle += clock() - started
         if is_broken(arm.data):
             return self._diverged(named, self._trajectory.duration)
-        return self._judged(named, times, objects, settle)
+        return self._judged_report(named, times, objects, settle)
 
     def _diverged(self, named: RehearsalReport, time: float) -> RehearsalReport:
         reason = Sentence(
@@ -264,20 +271,20 @@ class _Run:
         )
         return replace(named, state=FAILED, reasons=(reason,), remarks=tuple(dict.fromkeys(self._remarks)))
 
-    def _let_stand(self, setpoints: np.ndarray) -> bool:
+    def _settle_standing(self, setpoints: np.ndarray) -> bool:
         """Let what stands before the plan begins come to rest; return False when the simulation came apart."""
         of, scene = self._of, self._parts[0][0]
         names = {item.name for item in scene.objects if not item.link} & of.masses.keys() - self._handled
         known = {self._bodies[name] for name in names} - {self._bodies[name] for name in self._handled}
         objects = [item for item in scene.objects if self._bodies[item.name] in known]
-        near = nearest(objects, self._bodies, of.bodies.robot, setpoints) if len(known) > MOST else sorted(known)
+        near = nearest_bodies(objects, self._bodies, of.bodies.robot, setpoints) if len(known) > MOST else sorted(known)
         pieces = {item.name: self._bodies[item.name] for item in objects if self._bodies[item.name] in near[:MOST]}
         standing = come_to_rest(partial(self._model, scene), pieces, setpoints[0], of.servo)
         if standing is None:
             return False
         self._standing, self._fixed = standing, frozenset({*standing.restless, *near[MOST:]})
         if standing.restless:
-            most = f"{max(standing.restless.values()) * 1e3:.1f} mm: {listed(standing.restless)}"
+            most = f"{max(standing.restless.values()) * 1e3:.1f} mm: {names_text(standing.restless)}"
             self._remarks.append(
                 f"fixed in this rehearsal, nothing tips them over; they would move without any plan, by up to {most}"
             )
@@ -286,7 +293,7 @@ class _Run:
             self._remarks.append(f"fixed in this rehearsal, nothing tips them over: {more}")
         if of.unweighed:
             self._remarks.append(
-                f"fixed in this rehearsal, nothing tips them over, as nobody says what they weigh: {listed(of.unweighed)}"
+                f"fixed in this rehearsal, nothing tips them over, as nobody says what they weigh: {names_text(of.unweighed)}"
             )
         return True
 
@@ -302,11 +309,11 @@ class _Run:
             for name, place in self._standing.places.items():
                 arm.put_loose(name, place)
         else:
-            arm.go_on_as(before)
+            arm.continue_from(before)
             for name in before.physics.loose:
                 if name in physics.loose:
                     arm.put_loose(name, *before.loose_state(name))
-                elif (displaced := self._found(before, name)).moved > STAYS:
+                elif (displaced := self._loose_object(before, name)).moved > STAYS:
                     # the arm picks up where the plan has it, but it is not there any more
                     self._displaced[name] = displaced
             for name in sorted(physics.loose.keys() - before.physics.loose.keys()):
@@ -321,7 +328,7 @@ class _Run:
         of = self._of
         return build_model(of.bodies, scene, of.self_collision, of.drives, Load(of.masses, loose, of.flange))
 
-    def _watch(self, scene: Scene, physics: PhysicsModel) -> GripWatch | None:
+    def _watch(self, scene: Scene, physics: PhysicsModel) -> GripLoadRecorder | None:
         """Return what looks at the cups while the arm carries something in a scene; None: it does not, or there are none."""
         of = self._of
         tip = of.bodies.robot.tip_link
@@ -337,12 +344,12 @@ class _Run:
         if not len(grip.cups):
             self._remarks.append(f"no cup of the tool lies on {name}: whether it is held is not looked at")
             return None
-        return GripWatch(
+        return GripLoadRecorder(
             grip, name, physics, [item.name for item in carried], bodies.model.names[frame.parentJoint], frame.placement
         )
 
     def _play(
-        self, arm: SimulatedArm, times: np.ndarray, setpoints: np.ndarray, watch: GripWatch | None
+        self, arm: SimulatedArm, times: np.ndarray, setpoints: np.ndarray, watch: GripLoadRecorder | None
     ) -> float | None:
         """Play setpoints; note each cycle's torques, and every step's contacts; return when it came apart [s], None if not."""
         physics, data = arm.physics, arm.data
@@ -353,19 +360,19 @@ class _Run:
                 # these keep a nan
                 lowest, highest = np.minimum(lowest, arm.needed), np.maximum(highest, arm.needed)
                 if data.ncon:
-                    self._note_contacts(physics, data, at, frozenset())
+                    self._record_contacts(physics, data, at, frozenset())
             peak = np.where(highest > -lowest, highest, lowest)
             if is_broken(data) or not np.isfinite(peak).all():
                 return at
-            self._track.note(arm, peak, gravity)
+            self._track.record_cycle(arm, peak, gravity)
             if watch is not None:
-                watch.note(at, data)
+                watch.record_step(at, data)
         if watch is not None:
             self._grips.append(watch.worst())
         return None
 
-    def _note_contacts(self, physics: PhysicsModel, data: mujoco.MjData, at: float, without: Set[str]) -> None:
-        """Note what touches in this step; of two bodies that touch at several points the forces are added up."""
+    def _record_contacts(self, physics: PhysicsModel, data: mujoco.MjData, at: float, without: Set[str]) -> None:
+        """Record the contacts of this step; the forces of two bodies at several points are added up."""
         geoms = data.contact.geom
         forces: dict[tuple[str, str], float] = {}
         largest: dict[tuple[str, str], tuple[float, int]] = {}
@@ -405,22 +412,22 @@ class _Run:
         for _ in range(round((SETTLING if arm.physics.loose else _COMING_TO_REST) / CYCLE)):
             for _step in arm.steps(setpoint):
                 if arm.data.ncon:
-                    self._note_contacts(arm.physics, arm.data, duration, without)
+                    self._record_contacts(arm.physics, arm.data, duration, without)
         found = dict(self._displaced)
         for name in arm.physics.loose:
-            one = self._found(arm, name)
+            one = self._loose_object(arm, name)
             if name in self._released or one.moved > STAYS or one.turned > STAYS_TURNED:
                 found.setdefault(name, one)
         return tuple(found.values())
 
-    def _found(self, arm: SimulatedArm, name: str) -> LooseObject:
-        """Return what has become of a loose object until now."""
+    def _loose_object(self, arm: SimulatedArm, name: str) -> LooseObject:
+        """Return the motion of a loose object until now."""
         before = self._before[name]
         now, speed = arm.loose_state(name)
         released = self._released.get(name, math.nan)
         return LooseObject(name, released, *displacement(before, now), bool(np.abs(speed).max() < STILL))
 
-    def _judged(self, named, times, objects, settle) -> RehearsalReport:
+    def _judged_report(self, named, times, objects, settle) -> RehearsalReport:
         track, names = self._track, self._trajectory.joint_names
         worst, off = int(np.argmax(track.usages)), int(np.argmax(track.off))
         braking = self._braking()
@@ -446,7 +453,7 @@ class _Run:
             return self._diverged(named, self._trajectory.duration if math.isfinite(braking.usage) else braking.time)
         robot = self._of.bodies.robot
         linear = {name for name, slides in zip(robot.joint_names, robot.linear) if slides}
-        why = tuple(reasons(report, linear))
+        why = tuple(failure_reasons(report, linear))
         return replace(report, state=FAILED if why else PASSED, reasons=why)
 
     def _braking(self) -> Braking:

@@ -37,7 +37,7 @@ _POSES = 64
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
+class RestingBodies:
     """How bodies stand before a plan begins.
 
     Attributes:
@@ -57,7 +57,7 @@ def displacement(before: np.ndarray, now: np.ndarray) -> tuple[float, float, flo
 
 def come_to_rest(
     build: Callable[[Mapping[str, str]], PhysicsModel], pieces: Mapping[str, str], pose: np.ndarray, servo: Servo
-) -> Standing | None:
+) -> RestingBodies | None:
     """Let bodies come to rest around an arm that stands still; None: the simulation came apart.
 
     Args:
@@ -82,9 +82,9 @@ def come_to_rest(
             if sunk > SINKS or way > STAYS or turned > STAYS_TURNED or np.abs(after[body][1]).max() > STILL
         }
         if not found:
-            return Standing({body: place for body, (place, _) in after.items()}, restless)
+            return RestingBodies({body: place for body, (place, _) in after.items()}, restless)
         restless |= found if number < _ROUNDS else {body: way for body, (way, _, _) in moved.items()}
-    return Standing({}, restless)
+    return RestingBodies({}, restless)
 
 
 def _settle(arm: SimulatedArm, pose: np.ndarray) -> None:
@@ -103,7 +103,7 @@ def _settle(arm: SimulatedArm, pose: np.ndarray) -> None:
             return
 
 
-def nearest(
+def nearest_bodies(
     objects: Iterable[SceneObject], bodies: Mapping[str, str], robot: RobotModel, poses: np.ndarray
 ) -> list[str]:
     """Return the bodies of objects, those first that the tool comes nearest to along `poses`, shape (m, n); then by name."""

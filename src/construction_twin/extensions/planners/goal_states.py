@@ -52,7 +52,7 @@ class Action(Enum):
     """What is done before the next state is entered; values are the words of the documentation."""
 
     NOTHING = ""
-    ASK = "the planner is asked for a plan"
+    REQUEST_PLAN = "the planner is asked for a plan"
     TURN_AWAY = "the goal is rejected, naming the plan"
     WITHDRAW = "the plan is rejected in the client's name"
     ACCEPT = "the goal is active: its status says that it waits for approval"
@@ -64,7 +64,7 @@ class Action(Enum):
     END_STOPPED = "the goal ends: preempted, at rest on its path"
     GIVE_UP = "the same, and a goal that waits is recalled"
     BRAKE = "the executor's `stop_plan` is called"
-    SAY_MOVING = "the status says that it moves"
+    SEND_MOVING = "the status says that it moves"
     SUCCEED = "the goal succeeds"
 
 
@@ -76,7 +76,7 @@ rows = state_table.Rows(GoalState, GoalEvent, Guard, Action)
 #: A goal that comes while another one has the arm: see `TrajectoryGoals.on_goal`.
 TABLE: tuple[Row, ...] = (
     *rows(_S.FREE, _E.GOAL, _S.FREE, _A.TURN_AWAY, _G.BUSY),
-    *rows(_S.FREE, _E.GOAL, _S.PLANNING, _A.ASK),
+    *rows(_S.FREE, _E.GOAL, _S.PLANNING, _A.REQUEST_PLAN),
     # the planner's answer; nothing of a goal moves before it
     *rows(_S.PLANNING, _E.PLANNED, _S.REVIEW, _A.ACCEPT),
     *rows(_S.PLANNING, _E.NOT_PLANNED, _S.FREE, _A.REFUSE),
@@ -85,9 +85,9 @@ TABLE: tuple[Row, ...] = (
     *rows(_S.DISCARDING, _E.PLANNED, _S.WITHDRAWING, _A.WITHDRAW),
     *rows(_S.DISCARDING, _E.NOT_PLANNED, _S.STOPPED),
     # a person decides
-    *rows(_S.REVIEW, _E.STARTED, _S.MOVING, _A.SAY_MOVING),
+    *rows(_S.REVIEW, _E.STARTED, _S.MOVING, _A.SEND_MOVING),
     *rows(_S.REVIEW, _E.TURNED_DOWN, _S.FREE, _A.ABORT_INVALID),
-    *rows(_S.REVIEW, _E.FINISHED, _S.SETTLING, _A.SAY_MOVING),
+    *rows(_S.REVIEW, _E.FINISHED, _S.SETTLING, _A.SEND_MOVING),
     *rows(_S.REVIEW, _E.ENDED, _S.FREE, _A.ABORT_PATH),
     *rows(_S.REVIEW, _E.CANCEL, _S.WITHDRAWING, _A.WITHDRAW),
     # the withdrawal and an approval may cross
@@ -115,4 +115,4 @@ TABLE: tuple[Row, ...] = (
     *rows(_S.SETTLING, _E.CANCEL, _S.STOPPED, _A.PREEMPT),
 )
 
-ROWS = state_table.by_cause(TABLE)
+ROWS = state_table.rows_by_event(TABLE)

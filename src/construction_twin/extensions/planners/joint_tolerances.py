@@ -42,23 +42,23 @@ class Tolerances:
         free = (math.inf,) * len(robot.linear)
         return cls(position, free, free)
 
-    def asked(self, robot: RobotModel, asked: Iterable[Any]) -> Tolerances:
+    def overridden_by(self, robot: RobotModel, asked: Iterable[Any]) -> Tolerances:
         """Return these tolerances with what a goal asks for in their place: control_msgs/JointTolerance, joints in any order."""
         columns = {quantity: list(getattr(self, quantity)) for quantity in QUANTITIES}
         named: set[str] = set()
-        for one in asked:
-            if one.name not in robot.joint_names:
+        for tolerance in asked:
+            if tolerance.name not in robot.joint_names:
                 known = ", ".join(robot.joint_names)
-                raise GoalJointsError(f"goal_tolerance names the joint {one.name!r}; expected only {known}")
-            if one.name in named:
-                raise GoalError(f"goal_tolerance names {one.name} twice; expected once")
-            named.add(one.name)
-            index = robot.joint_names.index(one.name)
+                raise GoalJointsError(f"goal_tolerance names the joint {tolerance.name!r}; expected only {known}")
+            if tolerance.name in named:
+                raise GoalError(f"goal_tolerance names {tolerance.name} twice; expected once")
+            named.add(tolerance.name)
+            index = robot.joint_names.index(tolerance.name)
             for quantity, column in columns.items():
-                value = getattr(one, quantity)
+                value = getattr(tolerance, quantity)
                 if math.isnan(value):
                     expected = "expected a number, 0 for the default, below 0 for no bound"
-                    raise GoalError(f"goal_tolerance: the {quantity} of {one.name} is nan; {expected}")
+                    raise GoalError(f"goal_tolerance: the {quantity} of {tolerance.name} is nan; {expected}")
                 if value:
                     column[index] = value if value > 0.0 else math.inf
         return Tolerances(*(tuple(column) for column in columns.values()))

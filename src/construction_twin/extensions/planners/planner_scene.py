@@ -46,7 +46,7 @@ class PlannerObject:
 
 @dataclass(frozen=True, eq=False)
 class PlannerScene:
-    """What another planner is told of a scene.
+    """A scene as another planner receives it.
 
     Attributes:
         names: Links with a shape, then objects.
@@ -86,17 +86,17 @@ def planner_scene(bodies: RobotBodies, scene: Scene, self_collision: SelfCollisi
     )
 
 
-def scene_text(told: PlannerScene, name: str) -> tuple[str, tuple[str, ...]]:
+def scene_text(scene: PlannerScene, name: str) -> tuple[str, tuple[str, ...]]:
     """Return the objects that stand, in the text format that MoveIt's panel imports (`.scene`), and remarks: what is not in it.
 
     The format is MoveIt 1.1's, with the object's pose and subframes; poses are in the root of the URDF. It knows neither carried
     objects nor pairs that may touch.
     """
     lines, own = [name], Pose(np.zeros(3), np.eye(3))
-    for item in told.objects:
+    for item in scene.objects:
         if item.carried:
             continue
-        lines += [f"* {item.name}", *_pose_lines(product(told.root_T_base, item.pose)), "1", item.shape]
+        lines += [f"* {item.name}", *_pose_lines(product(scene.root_T_base, item.pose)), "1", item.shape]
         if item.shape == "mesh":
             lines += [
                 f"{len(item.vertices)} {len(item.triangles)}",
@@ -109,10 +109,10 @@ def scene_text(told: PlannerScene, name: str) -> tuple[str, tuple[str, ...]]:
         lines += [*_pose_lines(own), "0 0 0 0", "0"]
     left_out = tuple(
         f"{item.name!r} is carried by {item.frame}: the format has no carried objects, attach it in the panel"
-        for item in told.objects
+        for item in scene.objects
         if item.carried
     )
-    return "\n".join([*lines, ".", ""]), (*told.remarks, *left_out)
+    return "\n".join([*lines, ".", ""]), (*scene.remarks, *left_out)
 
 
 def _pose_lines(pose: Pose) -> tuple[str, str]:

@@ -166,11 +166,11 @@ def parse_trajectory(document: Mapping[str, Any], joints: Joints) -> TrajectoryR
 # -- our own form
 
 
-def _plain_points(said: PlainTrajectory, joints: Joints) -> tuple[TrajectoryPoint, ...]:
-    order = _order(said.joint_names, joints)
-    scales = [_FACTORS[said.units.length if linear else said.units.angle] for linear in joints.linear]
+def _plain_points(plain: PlainTrajectory, joints: Joints) -> tuple[TrajectoryPoint, ...]:
+    order = _order(plain.joint_names, joints)
+    scales = [_FACTORS[plain.units.length if linear else plain.units.angle] for linear in joints.linear]
     points = []
-    for index, point in enumerate(said.points):
+    for index, point in enumerate(plain.points):
         rows = (point.positions, point.velocities, point.accelerations)
         q, dq, ddq = (_values(row, index, order, scales) for row in rows)
         points.append(TrajectoryPoint(q, dq, ddq, round(point.time_from_start * NANOSECONDS)))

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 
-from construction_twin.core.sentences import Sentence, both
+from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.core.state_table import row_of
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.states import ACTIVE, ExecutorState
@@ -74,8 +74,8 @@ class TrajectoryGoal:
 
 
 @dataclass(frozen=True)
-class Ask:
-    """The planner is to be asked for a plan."""
+class RequestPlan:
+    """A plan is to be requested from the planner."""
 
     goal: TrajectoryGoal
 
@@ -123,7 +123,7 @@ class End:
     sentence: str
 
 
-Effect = Ask | Withdraw | Brake | Accept | Status | End
+Effect = RequestPlan | Withdraw | Brake | Accept | Status | End
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ class TrajectoryGoals:
         self._client = ""
         self.plan: GoalPlan | None = None
         self._next: TrajectoryGoal | None = None
-        self._coming: TrajectoryGoal | None = None
+        self._arriving: TrajectoryGoal | None = None
         self._why = ""
         self._retry_at = self._since = 0
         self._turned_down: dict[str, str] = {}
@@ -182,8 +182,8 @@ class TrajectoryGoals:
         """Stamp of the first setpoint of the goal's plan [ns]; 0: it has not begun, or the executor plays another one."""
         return self._report.start if self.plan is not None and self.plan.id == self._report.plan_id else 0
 
-    def take_effects(self) -> list[Effect]:
-        """Return what has to be done since the last call, in this order."""
+    def pop_effects(self) -> list[Effect]:
+        """Return the effects since the last call in their order, and forget them."""
         effects, self._effects = self._effects, []
         return effects
 
@@ -201,7 +201,7 @@ class TrajectoryGoals:
     def on_goal(self, goal: TrajectoryGoal, now: int) -> None:
         """Take a goal; while another one has the arm it is turned away, takes the plan over, or cancels that one and waits."""
         if self.state is GoalState.FREE:
-            self._coming = goal
+            self._arriving = goal
             self._on(GoalEvent.GOAL, now)
         elif goal.client != self._client:
             values = {"client": self._client, "state": self.describe()}
@@ -266,7 +266,7 @@ class TrajectoryGoals:
         """Take a verdict on a plan; an approval counts when the executor begins."""
         if approved:
             if self.plan is not None and plan_id == self.plan.id and self.state is GoalState.REVIEW:
-                self._tell(Sentence("plan {plan} was approved by {reviewer}", plan=plan_id, reviewer=reviewer))
+                self._send_status(Sentence("plan {plan} was approved by {reviewer}", plan=plan_id, reviewer=reviewer))
             return
         sentence = Sentence("plan {plan} was rejected by {reviewer}", plan=plan_id, reviewer=reviewer)
         if reviewer == EXECUTOR:
@@ -288,7 +288,7 @@ class TrajectoryGoals:
             moving = self.state is GoalState.MOVING
             self._follow_execution(now)
             if moving and self.state is GoalState.MOVING and before.state is not state:
-                self._tell(f"{state.name}: {reason}")
+                self._send_status(f"{state.name}: {reason}")
         elif self.state in PLAYED:
             lost = Sentence("the executor no longer plays plan {plan}: {reason}", plan=self.plan.id, reason=reason)
             self._on(GoalEvent.LOST, now, lost)
@@ -315,21 +315,21 @@ class TrajectoryGoals:
         if self.state is GoalState.SETTLING:
             self._check_goal(sample if settled else None, now)
         if self.state is GoalState.FREE and self._next is not None and at_rest:
-            self._coming, self._next = self._next, None
+            self._arriving, self._next = self._next, None
             self._on(GoalEvent.GOAL, now)
 
     def _check_goal(self, sample: Sample | None, now: int) -> None:
         assert self.goal is not None  # it settles
-        problem: str = Sentence("twin and arm are not known to be at rest")
+        violation: str = Sentence("twin and arm are not known to be at rest")
         if sample is not None:
             # the twin rests at the path's end, and the arm answers to that: what they show is the goal, and how far off it is
             error = sample.error
-            problem = self.goal.goal.violation(self._robot, error.position, error.velocity, error.acceleration)
-        if not problem:
+            violation = self.goal.goal.violation(self._robot, error.position, error.velocity, error.acceleration)
+        if not violation:
             self._on(GoalEvent.AT_GOAL, now)
         elif now - self._since > self.goal.time_tolerance * NANOSECONDS:
             seconds = self.goal.time_tolerance
-            late = Sentence("{seconds:g} s after the plan's end {problem}", seconds=seconds, problem=problem)
+            late = Sentence("{seconds:g} s after the plan's end {problem}", seconds=seconds, problem=violation)
             self._on(GoalEvent.TOO_LATE, now, late)
 
     # -- the table
@@ -366,23 +366,23 @@ class TrajectoryGoals:
 
     # -- actions: one method for each of the table that is none of `_FAILURES`
 
-    def _ask(self) -> None:
-        self.goal, self._coming = self._coming, None
+    def _request_plan(self) -> None:
+        self.goal, self._arriving = self._arriving, None
         assert self.goal is not None  # the event brings it
         self._client = self.goal.client
-        self._effects.append(Ask(self.goal))
+        self._effects.append(RequestPlan(self.goal))
 
     def _turn_away(self) -> None:
-        assert self._coming is not None  # the event brings it
+        assert self._arriving is not None  # the event brings it
         values = {"plan": self._report.plan_id}
         sentence = Sentence("the arm follows plan {plan}, of no goal of this action; wait for its end", **values)
-        self._end(self._coming, Ending.REJECTED, ResultCode.INVALID_GOAL, sentence)
-        self._coming = None
+        self._end(self._arriving, Ending.REJECTED, ResultCode.INVALID_GOAL, sentence)
+        self._arriving = None
 
     def _withdraw(self) -> None:
         plan, why = self._planned, self._why or Sentence("no longer wanted by its client")
         self._effects.append(Withdraw(plan.id, plan.hash, self._client, why))
-        self._tell(Sentence("{why}; plan {plan} is being withdrawn", why=self._why, plan=plan.id))
+        self._send_status(Sentence("{why}; plan {plan} is being withdrawn", why=self._why, plan=plan.id))
 
     def _accept(self) -> None:
         assert self.goal is not None  # it was planned
@@ -398,7 +398,7 @@ class TrajectoryGoals:
         self._effects.append(Accept(self.goal.id, waits))
 
     def _preempt(self, where: str = "") -> None:
-        self._finish(Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, both(self._why, where))
+        self._finish(Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, join_sentences(self._why, where))
 
     def _abort_path(self) -> None:
         report = self._report
@@ -408,10 +408,10 @@ class TrajectoryGoals:
 
     def _end_stopped(self) -> None:
         where = Sentence("the arm is at rest on its path") if self._report.reason else Sentence("the arm is at rest")
-        self._preempt(both(where, self._report.reason))
+        self._preempt(join_sentences(where, self._report.reason))
 
     def _give_up(self) -> None:
-        self._preempt(both(UNKNOWN_REST, self._report.reason))
+        self._preempt(join_sentences(UNKNOWN_REST, self._report.reason))
         if self._next is not None:
             sentence = Sentence("not planned: {unknown}; see whether it runs, and send it again", unknown=UNKNOWN_REST)
             self._end(self._next, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, sentence)
@@ -419,10 +419,10 @@ class TrajectoryGoals:
 
     def _brake(self) -> None:
         self._effects.append(Brake(self._planned.id))
-        self._tell(Sentence("{why}; brakes on the path", why=self._why))
+        self._send_status(Sentence("{why}; brakes on the path", why=self._why))
 
-    def _say_moving(self) -> None:
-        self._tell(f"{self._report.state.name}: {self._report.reason}")
+    def _send_moving(self) -> None:
+        self._send_status(f"{self._report.state.name}: {self._report.reason}")
 
     def _succeed(self) -> None:
         reached = Sentence("plan {plan} was executed; the arm is at the goal", plan=self._planned.id)
@@ -446,6 +446,6 @@ class TrajectoryGoals:
     def _end(self, goal: TrajectoryGoal, ending: Ending, code: ResultCode, sentence: str) -> None:
         self._effects.append(End(goal.id, ending, code, sentence))
 
-    def _tell(self, text: str) -> None:
+    def _send_status(self, text: str) -> None:
         if self.goal is not None:
             self._effects.append(Status(self.goal.id, text))

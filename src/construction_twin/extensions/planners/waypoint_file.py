@@ -170,7 +170,7 @@ def _checked_columns(
     place: str, line: int | None, names: list[str], robot: RobotModel
 ) -> dict[tuple[str, str], _Column]:
     """Return the column of each joint and rate, "" for its position; the time's is that of `_TIME`."""
-    found: dict[tuple[str, str], _Column] = {}
+    columns: dict[tuple[str, str], _Column] = {}
     for index, name in enumerate(names):
         match = _COLUMN.match(name)
         if name == _TIME:
@@ -182,13 +182,13 @@ def _checked_columns(
             linear = robot.linear[robot.joint_names.index(key[0])]
             if (unit in ("mm", "m")) != linear:
                 kind, units = ("prismatic", "mm or m") if linear else ("revolute", "deg or rad")
-                problem = f"{place}: column {name!r} of a {kind} joint; expected its unit to be {units}"
-                raise WaypointsError(problem, line, key[0], name)
-        if key in found:
-            same = f"{place}: columns {names[found[key][0]]!r} and {name!r} are the same; expected one"
+                sentence = f"{place}: column {name!r} of a {kind} joint; expected its unit to be {units}"
+                raise WaypointsError(sentence, line, key[0], name)
+        if key in columns:
+            same = f"{place}: columns {names[columns[key][0]]!r} and {name!r} are the same; expected one"
             raise WaypointsError(same, line)
-        found[key] = index, unit
-    missing = [name for name in robot.joint_names if (name, "") not in found]
+        columns[key] = index, unit
+    missing = [name for name in robot.joint_names if (name, "") not in columns]
     if missing:
         raise WaypointsError(f"{place}: no column for {', '.join(missing)}; {_expected(robot)}", line, missing[0])
     needs = {
@@ -196,11 +196,11 @@ def _checked_columns(
         "_s2": ("accelerations", (robot.joint_names[0], "_s"), "velocities"),
     }
     for rate, (kind, needed, what) in needs.items():
-        named = [name for name in robot.joint_names if (name, rate) in found]
-        if named and (len(named) < len(robot.joint_names) or needed not in found):
-            problem = f"{place}: {kind} need a column for every joint, and {what}"
-            raise WaypointsError(problem, line, named[0])
-    return found
+        named = [name for name in robot.joint_names if (name, rate) in columns]
+        if named and (len(named) < len(robot.joint_names) or needed not in columns):
+            sentence = f"{place}: {kind} need a column for every joint, and {what}"
+            raise WaypointsError(sentence, line, named[0])
+    return columns
 
 
 def _expected(robot: RobotModel) -> str:

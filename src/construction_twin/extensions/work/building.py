@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from construction_twin.extensions.work.errors import BuildingError
-from construction_twin.extensions.work.names import labels, named
+from construction_twin.extensions.work.names import labels, with_names
 from construction_twin.kinematics.chain import Pose
 
 #: Values of properties and quantities, as IFC has them.
@@ -158,9 +158,9 @@ class BuildingModel:
             )
         return self.elements[global_id]
 
-    def called(self, sentence: str, own: str = "") -> str:
+    def with_names(self, sentence: str, own: str = "") -> str:
         """Return a sentence with names in place of ids; `own`: id of the element that is called "the element"."""
-        return named(sentence, {**self.labels, **({own: "the element"} if own else {})})
+        return with_names(sentence, {**self.labels, **({own: "the element"} if own else {})})
 
     @cached_property
     def labels(self) -> dict[str, str]:

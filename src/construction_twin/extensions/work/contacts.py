@@ -25,7 +25,7 @@ FALL = 0.02
 _SINKS, _CLEAR = 0.3, 1e-4
 
 
-class Shapes:
+class ShapeDistances:
     """Distances between objects of scenes, each shape built once."""
 
     def __init__(self) -> None:
@@ -60,7 +60,7 @@ class Shapes:
                     return item.name, other.name
         return None
 
-    def holder(
+    def support_below(
         self, items: Sequence[SceneObject], base_T_frame: Pose, others: Iterable[SceneObject], up: np.ndarray
     ) -> str:
         """Return the name of an object on which something in a frame would come to lie, sinking by `FALL`; empty: it would fall.
@@ -139,7 +139,7 @@ def _transform(pose: Pose) -> coal.Transform3s:
     return coal.Transform3s(pose.rotation, pose.position)
 
 
-def straight(start: Pose, end: Pose) -> list[Pose]:
+def straight_poses(start: Pose, end: Pose) -> list[Pose]:
     """Return poses on the straight way between two of one orientation, at most `STEP` apart, both included."""
     count = max(1, int(np.ceil(np.linalg.norm(end.position - start.position) / STEP)))
     fractions = np.linspace(0.0, 1.0, count + 1)[:, None]
@@ -147,7 +147,7 @@ def straight(start: Pose, end: Pose) -> list[Pose]:
     return [Pose(position, start.rotation) for position in positions]
 
 
-def difference(before: Scene, after: Scene) -> SceneChange:
+def change_between(before: Scene, after: Scene) -> SceneChange:
     """Return the change that makes one scene of another, which lacks no object of it: it only puts."""
     present = {item.name: item.contents() for item in before.objects}
     return SceneChange(tuple(item for item in after.objects if item.contents() != present.get(item.name)))

@@ -43,7 +43,7 @@ class Hull:
     centre: np.ndarray
 
 
-class Pieces:
+class ElementPieces:
     """The pieces of one element, in the element's frame: boxes and meshes, `link` empty."""
 
     def __init__(self, objects: Sequence[SceneObject]):

@@ -7,7 +7,15 @@ from dataclasses import replace
 import numpy as np
 
 from construction_twin.core.sentences import Sentence
-from construction_twin.extensions.work.built import ORIGIN, OVERLAP, Deviation, box_of, deviation, placed_at, pose_tuple
+from construction_twin.extensions.work.as_built import (
+    ORIGIN,
+    OVERLAP,
+    Deviation,
+    box_of,
+    deviation,
+    placed_at,
+    pose_tuple,
+)
 from construction_twin.extensions.work.ledger import placed_elsewhere, replay
 from construction_twin.extensions.work.task_board import FROM_MODEL, PROPOSED, TaskBoard, WorkRefused, removed_command
 from construction_twin.extensions.work.task_memory import (
@@ -45,7 +53,7 @@ def accept(board: TaskBoard, person: str, reason: str) -> str:
     if board.schedule_word != PROPOSED:
         origin = "the model's own" if board.schedule_word == FROM_MODEL else "accepted already"
         raise WorkRefused(f"the schedule is {origin}: there is nothing to accept")
-    _check_named(person)
+    _require_person(person)
     board.ledger.add(Entry(ACCEPTED, person=person, reason=reason, schedule=board.loaded.schedule_digest))
     return f"{person} accepts the proposed schedule of {len(board.loaded.schedule.jobs)} tasks"
 
@@ -92,7 +100,7 @@ def redo(board: TaskBoard, task: str, person: str, reason: str) -> str:
         raise WorkRefused(f"{board.title(later[0])} came after {board.title(task)}: redo that first")
     taken_down, stays = task in board.loaded.removals, board.loaded.stays(task)
     if not taken_down and not stays:
-        _slot_free(board, task)
+        _require_free_slot(board, task)
     board.add(Entry("redone", task, person=person, reason=reason))
     if taken_down:
         return f"{board.built.element(task).name} counts as standing again: an obstacle until a person says that it is gone"
@@ -101,8 +109,8 @@ def redo(board: TaskBoard, task: str, person: str, reason: str) -> str:
     return f"{board.title(task)} is to be done again; {board.built.element(task).name} counts as back in its stock"
 
 
-def lost(board: TaskBoard) -> str:
-    """Have what counts as carried asked about, as the tool is surely open; return a sentence, empty: nothing is."""
+def ask_about_carried(board: TaskBoard) -> str:
+    """Ask about the element that counts as carried while the tool is open; return a sentence, empty: none is carried."""
     held = board.states.in_state(TaskState.CARRIED)
     if not held:
         return ""
@@ -124,45 +132,45 @@ def answer(board: TaskBoard, task: str, answer: str, person: str, reason: str, s
         answers = ", ".join(possible)
         raise WorkRefused(f"{answer!r} is no answer to: {question}; expected one of {answers}")
     if answer == "in_stock":
-        _slot_free(board, task)
+        _require_free_slot(board, task)
     name, meaning = board.built.element(task).name, _MEANINGS[answer]
     sentence = Sentence("{task}: {element}: {answer}", task=board.title(task), element=name, answer=meaning)
     if answer == SAME:
-        _take_as(board, task, board.built.counterpart(task), person, reason)
+        _identify_with(board, task, board.built.counterpart(task), person, reason)
     else:
         said, seen = ANSWERS_OF_FORMER.get(answer, answer), NOT_IN_MODEL if answer in ANSWERS_OF_FORMER else ""
         board.add(Entry("answered", task, answer=said, person=person, reason=reason, seen=seen))
     return sentence
 
 
-def answer_all(board: TaskBoard, given: str, person: str, reason: str) -> str:
+def answer_all(board: TaskBoard, choice: str, person: str, reason: str) -> str:
     """Answer all questions about what was placed."""
-    _check_named(person)
-    if given not in ANSWERS_FOR_ALL:
+    _require_person(person)
+    if choice not in ANSWERS_FOR_ALL:
         answers = ", ".join(ANSWERS_FOR_ALL)
-        raise WorkRefused(f"{given!r} is answered for one task at a time; for all at once only {answers}")
+        raise WorkRefused(f"{choice!r} is answered for one task at a time; for all at once only {answers}")
     count = 0
     for task in board.states.asking:
         # each is looked at when it is its turn: what was answered before may have taken its counterpart
-        if board.states.tasks[task].placed and given in board.answers(task):
-            answer(board, task, given, person, reason)
+        if board.states.tasks[task].placed and choice in board.answers(task):
+            answer(board, task, choice, person, reason)
             count += 1
-    meaning, left = _MEANINGS[given], len(board.states.asking)
+    meaning, left = _MEANINGS[choice], len(board.states.asking)
     return Sentence("{count} answered ({answer}), {left} still ask", count=count, answer=meaning, left=left)
 
 
-def _take_as(board: TaskBoard, task: str, heir: str, person: str, reason: str) -> None:
+def _identify_with(board: TaskBoard, task: str, heir: str, person: str, reason: str) -> None:
     memory, facts = board.states.tasks[task], board.built.element(heir)
-    entry = replace(placed_elsewhere("same", heir, memory, reason), seen=board.loaded.present[heir].digest)
-    body, goal = board.ledger.keep(facts.bodies), pose_tuple(facts.base_T_goal)
+    entry = replace(placed_elsewhere("same", heir, memory, reason), seen=board.loaded.model_elements[heir].digest)
+    body, goal = board.ledger.save_bodies(facts.bodies), pose_tuple(facts.base_T_goal)
     if body != memory.body:
         # its frame may be another one: where it stands is known as well as places are compared
         entry = replace(entry, pose=goal, source=PLANNED, body=body, goal=goal)
     board.ledger.add(replace(entry, element=board.element_of(heir), person=person))
 
 
-def look_around(board: TaskBoard) -> None:
-    """Have it asked about what other ledgers of the folder placed of this model, or at a place of it."""
+def ask_about_other_ledgers(board: TaskBoard) -> None:
+    """Ask about elements that other ledgers of the folder have placed of this model, or at a place of it."""
     for path in sorted(board.ledger.path.parent.glob("*.jsonl")):
         if path == board.ledger.path:
             continue
@@ -171,10 +179,10 @@ def look_around(board: TaskBoard) -> None:
         for memory in states.tasks.values():
             source = f"{path.name} {memory.task} {memory.settled_ns}"
             if memory.placed and source not in board.states.found:
-                _look_at(board, memory if mine else replace(memory, base_T_element=(), goal=()), mine, source)
+                _ask_about_found(board, memory if mine else replace(memory, base_T_element=(), goal=()), mine, source)
 
 
-def _look_at(board: TaskBoard, memory: TaskMemory, mine: bool, source: str) -> None:
+def _ask_about_found(board: TaskBoard, memory: TaskMemory, mine: bool, source: str) -> None:
     states, task = board.states, board.loaded.schedule.placing.get(memory.element, "")
     if any(each.element == memory.element and each.touched for each in states.tasks.values()):
         return
@@ -192,9 +200,9 @@ def _look_at(board: TaskBoard, memory: TaskMemory, mine: bool, source: str) -> N
     board.ledger.add(replace(placed_elsewhere("found", task, memory, source=source), former=""))
 
 
-def measured(board: TaskBoard, element: str, pose: Pose, person: str, reason: str) -> Deviation:
-    """Record where an element really is."""
-    _check_named(person)
+def record_measured(board: TaskBoard, element: str, pose: Pose, person: str, reason: str) -> Deviation:
+    """Record the measured pose of an element."""
+    _require_person(person)
     task = board.loaded.schedule.placing.get(element)
     if task is None:
         raise WorkRefused(f"no task places element {element!r}; `twin work list` names them")
@@ -209,9 +217,9 @@ def measured(board: TaskBoard, element: str, pose: Pose, person: str, reason: st
     return found
 
 
-def _slot_free(board: TaskBoard, task: str) -> None:
-    """Refuse to count an element as back in stock while another one lies there."""
-    other = board.loaded.stock.instead_of(board.element_of(task), board.built.taken())
+def _require_free_slot(board: TaskBoard, task: str) -> None:
+    """Refuse an element in stock while another one lies in its slot."""
+    other = board.loaded.stock.later_element_in_slot(board.element_of(task), board.built.out_of_stock())
     if not other:
         return
     later = board.title(board.loaded.schedule.placing[other])
@@ -226,10 +234,10 @@ def _memory(board: TaskBoard, task: str, person: str, former: bool = False) -> T
     if task not in board.states.after and not former:
         name = board.built.element(task).name
         raise WorkRefused(f"{name} is not in the model any more; once it is taken away, say {removed_command(name)}")
-    _check_named(person)
+    _require_person(person)
     return board.states.tasks[task]
 
 
-def _check_named(person: str) -> None:
+def _require_person(person: str) -> None:
     if not person.strip():
         raise WorkRefused("who says so? Give the name of a person: it is kept with the record")

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.files import read_file, write_whole
+from construction_twin.core.files import read_file, write_atomically
 from construction_twin.extensions.work.building import Body, Element
 from construction_twin.extensions.work.errors import WorkError
 from construction_twin.robot.frames import rotation_to_quaternion
@@ -92,8 +92,8 @@ def _cached(body: Body, folder: Path) -> tuple[float, list[SceneObject]]:
         # a damaged file, or a mesh that is gone: made anew, and written over
         path.unlink(missing_ok=True)
     folder.mkdir(parents=True, exist_ok=True)
-    reach, descriptions = _made(vertices, triangles, folder)
-    write_whole(path, json.dumps({"excess": reach, "pieces": descriptions}) + "\n")
+    reach, descriptions = _convex_objects(vertices, triangles, folder)
+    write_atomically(path, json.dumps({"excess": reach, "pieces": descriptions}) + "\n")
     return reach, [_object(item, folder) for item in descriptions]
 
 
@@ -101,7 +101,7 @@ def _object(item: dict, folder: Path) -> SceneObject:
     return SceneObject("piece", **{**item, "mesh": str((folder / item["mesh"]).absolute()) if item.get("mesh") else ""})
 
 
-def _made(vertices: np.ndarray, triangles: np.ndarray, folder: Path) -> tuple[float, list[dict]]:
+def _convex_objects(vertices: np.ndarray, triangles: np.ndarray, folder: Path) -> tuple[float, list[dict]]:
     if not len(triangles) or not np.isfinite(vertices).all():
         raise WorkError(f"found a body of {len(triangles)} triangles, expected triangles with finite corners")
     if len(triangles) > MOST_TRIANGLES:
@@ -157,7 +157,7 @@ def _write_mesh(vertices: np.ndarray, triangles: np.ndarray, folder: Path) -> st
     lines += [f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist()]
     text = "\n".join([*lines, ""])
     name = f"{hashlib.sha256(text.encode()).hexdigest()}.obj"
-    write_whole(folder / name, text)
+    write_atomically(folder / name, text)
     return name
 
 

@@ -16,7 +16,7 @@ from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
 
 
-def due(
+def restoring_change(
     left: EngagementReport,
     scene: Scene,
     segments: Sequence[Segment],
@@ -25,7 +25,7 @@ def due(
     element: str = "",
     forms: Iterable[Sequence[SceneObject]] = (),
 ) -> SceneChange | str:
-    """Return the change of a scene in which an engaged arm cannot go back yet, or why none is known.
+    """Return the change after which an engaged arm can go back, or why none is known.
 
     Args:
         segments, changes: Of the plan that ended inside; empty: unknown.
@@ -34,10 +34,10 @@ def due(
     leading = [change for segment, change in zip(segments, changes) if segment.scene_after in left.scenes]
     mine = {name for change in changes for name in (*change.remove, *(item.name for item in change.put))}
     alternatives = [tuple(form) for form in forms]
-    made = (_wanted(base, left.scenes, leading, element, alternatives) for base in (scene, *earlier))
+    made = (_scene_of_hash(base, left.scenes, leading, element, alternatives) for base in (scene, *earlier))
     wanted = next((each for each in made if each is not None), None)
     if wanted is not None:
-        found = _lead(scene, wanted, mine)
+        found = _change_to(scene, wanted, mine)
         if isinstance(found, SceneChange):
             return found
         problem = found
@@ -56,19 +56,19 @@ def due(
     )
 
 
-def confirmed(left: EngagementReport, segment: Segment) -> bool:
-    """Return whether an engagement says that the switches at a segment's end have happened."""
+def switches_confirmed(left: EngagementReport, segment: Segment) -> bool:
+    """Return whether an engagement confirms the switches at a segment's end."""
     return segment.scene_after != segment.scene and set(left.scenes) == {segment.scene_after}
 
 
-def _wanted(
+def _scene_of_hash(
     base: Scene,
     scenes: Sequence[str],
     changes: Sequence[SceneChange],
     element: str,
     forms: Sequence[tuple[SceneObject, ...]],
 ) -> Scene | None:
-    """Return a scene with one of these hashes, made of another one."""
+    """Return a scene of one of these hashes that a change makes of another scene; None: no change does."""
     if base.hash in scenes:
         return base
     if element:
@@ -87,7 +87,7 @@ def _wanted(
     return None
 
 
-def _lead(scene: Scene, wanted: Scene, mine: set[str]) -> SceneChange | str:
+def _change_to(scene: Scene, wanted: Scene, mine: set[str]) -> SceneChange | str:
     """Return the change from the present scene to a wanted one, or what of it is not the work's to change."""
     there, then = ({item.name: item for item in one.objects} for one in (scene, wanted))
     put = [item for name, item in then.items() if name not in there or _differ(there[name], item)]

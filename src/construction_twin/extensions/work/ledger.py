@@ -1,6 +1,6 @@
 """The ledger: one event per line, on the disk before anybody acts on it; the states of the tasks are computed from its lines.
 
-One per robot and site; beside it the bodies that lines name by digest.
+One per robot and work cell; beside it the bodies that lines name by digest.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from types import MappingProxyType
 
 from construction_twin.core.append_only import AppendOnlyFile, read_lines
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.files import write_whole
+from construction_twin.core.files import write_atomically
 from construction_twin.extensions.work.errors import LedgerError
 from construction_twin.extensions.work.task_memory import (
     ACCEPTED,
@@ -40,7 +40,7 @@ _FREED, _BLOCKED = Entry(TaskEvent.FREED.value), Entry(TaskEvent.BLOCKED.value)
 
 
 @dataclass(frozen=True)
-class Present:
+class ModelElement:
     """What the present model says of a task's element; `digest`: SHA-256 of that, with shape and place; empty: no shape."""
 
     element: str
@@ -69,7 +69,7 @@ class TaskStates:
     robot: str = ""
     found: frozenset[str] = frozenset()
 
-    def then(self, entry: Entry) -> TaskStates:
+    def with_entry(self, entry: Entry) -> TaskStates:
         """Return the states after one more event.
 
         Raises:
@@ -83,8 +83,8 @@ class TaskStates:
             return self
         before = self.tasks.get(entry.task, TaskMemory(entry.task))
         # what was done was done, even if a schedule that was changed since would have had it wait
-        waits = before.state is TaskState.WAITING and not before.takes(entry)
-        memory = (before.then(_FREED) if waits else before).then(entry)
+        waits = before.state is TaskState.WAITING and not before.accepts(entry)
+        memory = (before.with_entry(_FREED) if waits else before).with_entry(entry)
         tasks = {**self.tasks, entry.task: memory}
         for task, other in self.tasks.items():
             # what is said now of where an element is replaces what was known of it by a task that is no more
@@ -144,18 +144,18 @@ class TaskStates:
         left = {task: memory for task, memory in self.tasks.items() if task not in self.after}
         return {task: memory for task, memory in left.items() if memory.touched and not memory.stays}
 
-    def handed_over(self, present: Mapping[str, Present]) -> list[Entry]:
+    def handed_over(self, model_elements: Mapping[str, ModelElement]) -> list[Entry]:
         """Return the events by which what a task has done to another element than its present one goes by that element's id."""
         found = []
         for task, memory in self.tasks.items():
-            if task not in present or memory.element in ("", present[task].element) or memory.stays:
+            if task not in model_elements or memory.element in ("", model_elements[task].element) or memory.stays:
                 continue
             reason = "the model was changed, and its task"
             if memory.touched:
                 own = memory.element if memory.element not in self.tasks else f"{memory.element} {task}"
                 found.append(placed_elsewhere("found" if memory.placed else "unknown", own, memory, reason=reason))
             elif memory.gone and memory.state is TaskState.DONE:
-                found.append(Entry("redone", task, present[task].element, reason=reason))
+                found.append(Entry("redone", task, model_elements[task].element, reason=reason))
         return found
 
     def doubts(
@@ -163,27 +163,32 @@ class TaskStates:
         model: str,
         placing: Mapping[str, str],
         standing: Collection[str] = (),
-        present: Mapping[str, Present] = MappingProxyType({}),
+        model_elements: Mapping[str, ModelElement] = MappingProxyType({}),
     ) -> list[Entry]:
         """Return the events by which a person is asked about what was touched and has changed since it was placed or answered."""
-        found, called = [], {(each.name, each.ifc_class) for each in present.values()}
+        found, called = [], {(each.name, each.ifc_class) for each in model_elements.values()}
         for task, memory in self.tasks.items():
-            no_more, stands = task not in self.after, memory.placed and memory.state in SETTLED
+            no_more, is_standing = task not in self.after, memory.placed and memory.state in SETTLED
             heir = placing.get(memory.element, "") if no_more else ""
             if not memory.touched or (no_more and memory.stays):
                 continue
             if heir and self.tasks[heir].state in (TaskState.WAITING, TaskState.READY):
                 event, reason = "found" if memory.placed else "unknown", "the model was changed, and its task"
-                if stands and heir in present and memory.seen == present[heir].digest:
+                if is_standing and heir in model_elements and memory.seen == model_elements[heir].digest:
                     event = "same"
                 found.append(placed_elsewhere(event, heir, memory, reason=reason))
-            elif memory.state is TaskState.ASKS or (no_more and stands and memory.element in standing):
+            elif memory.state is TaskState.ASKS or (no_more and is_standing and memory.element in standing):
                 continue
-            elif stands and task in present and memory.seen == present[task].digest:
+            elif is_standing and task in model_elements and memory.seen == model_elements[task].digest:
                 continue
-            elif stands and no_more and memory.seen == NOT_IN_MODEL and (memory.name, memory.ifc_class) not in called:
+            elif (
+                is_standing
+                and no_more
+                and memory.seen == NOT_IN_MODEL
+                and (memory.name, memory.ifc_class) not in called
+            ):
                 continue
-            elif self.model != model or (no_more and not stands):
+            elif self.model != model or (no_more and not is_standing):
                 # what is on its way out stands; only then can it be asked about
                 times = 2 if memory.state is TaskState.RETREATING else 1
                 reason = "the model was changed"
@@ -214,9 +219,9 @@ def _settled(after: Mapping[str, tuple[str, ...]], tasks: Mapping[str, TaskMemor
     settled = dict(tasks)
     for name, memory in tasks.items():
         if memory.state is TaskState.WAITING and not _missing(after, tasks, name):
-            settled[name] = memory.then(_FREED)
+            settled[name] = memory.with_entry(_FREED)
         elif memory.state is TaskState.READY and _missing(after, tasks, name):
-            settled[name] = memory.then(_BLOCKED)
+            settled[name] = memory.with_entry(_BLOCKED)
     return settled
 
 
@@ -233,7 +238,7 @@ class Ledger:
         placing: Mapping[str, str] = MappingProxyType({}),
         standing: Collection[str] = (),
         robot: str = "",
-        present: Mapping[str, Present] = MappingProxyType({}),
+        model_elements: Mapping[str, ModelElement] = MappingProxyType({}),
     ):
         self.path = Path(path)
         self._bodies = self.path.parent / "standing"
@@ -243,11 +248,11 @@ class Ledger:
             self.states = replay(self.path, after)
             if self._file.lines == 0:
                 self.add(Entry(OPENED, model=model, cell=cell, robot=robot))
-            if self._file.mended:
-                self.add(Entry(MENDED, reason=f"{self._file.mended} bytes of a line without its end were cut off"))
-            for entry in self.states.handed_over(present):
+            if self._file.cut_off:
+                self.add(Entry(MENDED, reason=f"{self._file.cut_off} bytes of a line without its end were cut off"))
+            for entry in self.states.handed_over(model_elements):
                 self.add(entry)
-            for entry in self.states.doubts(model, placing, standing, present):
+            for entry in self.states.doubts(model, placing, standing, model_elements):
                 self.add(entry)
             # last: killed before it, the next start asks again
             if (self.states.model, self.states.cell) != (model, cell):
@@ -271,8 +276,8 @@ class Ledger:
         entry = replace(entry, time_ns=now)
         if entry.event not in OF_NO_TASK:
             # a replay is lenient: what is written must be an event of its task's state
-            self.states.tasks.get(entry.task, TaskMemory(entry.task)).then(entry)
-        states = self.states.then(entry)
+            self.states.tasks.get(entry.task, TaskMemory(entry.task)).with_entry(entry)
+        states = self.states.with_entry(entry)
         self._file.append(now, entry.fields())
         self.states = states
 
@@ -282,9 +287,9 @@ class Ledger:
 
     # -- bodies
 
-    def keep(self, bodies: Sequence[SceneObject]) -> str:
-        """Write an element's pieces to the disk, independent of model and cache; return their digest."""
-        digest = body_digest(bodies)
+    def save_bodies(self, bodies: Sequence[SceneObject]) -> str:
+        """Save an element's pieces; return their digest."""
+        digest = bodies_digest(bodies)
         try:
             for item in bodies:
                 if item.mesh:
@@ -298,7 +303,7 @@ class Ledger:
         path = self._bodies / name
         if path.exists() and path.read_bytes() == contents:
             return
-        write_whole(path, contents)
+        write_atomically(path, contents)
         for each in (path, self._bodies, self._bodies.parent):
             handle = os.open(each, os.O_RDONLY)
             try:
@@ -306,15 +311,15 @@ class Ledger:
             finally:
                 os.close(handle)
 
-    def body(self, element: str, digest: str) -> tuple[SceneObject, ...]:
-        """Return kept pieces as ``<element>/0``, ..., in the element's frame."""
+    def saved_bodies(self, element: str, digest: str) -> tuple[SceneObject, ...]:
+        """Read saved pieces as ``<element>/0``, ..., in the element's frame."""
         path = self._bodies / f"{digest}.json"
         try:
             content, pieces = path.read_bytes(), []
             changed = hashlib.sha256(content).hexdigest() != digest
-            for number, kept in enumerate([] if changed else json.loads(content)):
-                kept["mesh"] = kept["mesh"] and str(self._bodies / kept["mesh"])
-                pieces.append(SceneObject(f"{element}/{number}", **kept))
+            for number, piece in enumerate([] if changed else json.loads(content)):
+                piece["mesh"] = piece["mesh"] and str(self._bodies / piece["mesh"])
+                pieces.append(SceneObject(f"{element}/{number}", **piece))
             if changed or any(item.mesh and item.mesh_digest != Path(item.mesh).stem for item in pieces):
                 raise ValueError("it is not what it was when it was written; restore the folder")
         except (OSError, ValueError, ConstructionTwinError) as error:
@@ -326,8 +331,8 @@ class Ledger:
 _OF_BODY = ("shape", "size", "position", "quaternion", "padding")
 
 
-def body_digest(bodies: Sequence[SceneObject]) -> str:
-    """Return the digest by which an element's pieces are kept."""
+def bodies_digest(bodies: Sequence[SceneObject]) -> str:
+    """Return the digest under which an element's pieces are saved."""
     return hashlib.sha256(_contents(bodies)).hexdigest()
 
 
@@ -347,7 +352,7 @@ def replay(path: Path, after: Mapping[str, tuple[str, ...]]) -> TaskStates:
         if number == 1 and entry.event != OPENED:
             raise LedgerError(str(path), f"line 1 is {entry.event!r}; expected {OPENED!r}: this is no ledger")
         try:
-            states = states.then(entry)
+            states = states.with_entry(entry)
         except NotNow as error:
             raise LedgerError(str(path), f"line {number}: {str(error)}") from error
     return states

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from construction_twin.extensions.work.ledger import Present, body_digest
+from construction_twin.extensions.work.ledger import ModelElement, bodies_digest
 from construction_twin.extensions.work.names import labels
 from construction_twin.extensions.work.schedule import Schedule
 from construction_twin.kinematics.chain import Pose
@@ -21,7 +21,7 @@ from construction_twin.scene.objects import SceneObject
 
 if TYPE_CHECKING:
     # whoever only draws elements waits for no library of shapes
-    from construction_twin.extensions.work.site_scene import StockPlan
+    from construction_twin.extensions.work.layout import StockPlan
 
 #: The process that reads the model and plans tasks, see `core.worker`.
 WORKER = (sys.executable, "-m", "construction_twin.extensions.work.worker_functions")
@@ -93,10 +93,10 @@ class LoadedModel:
         return {**{job: job for job in every}, **labels(every)}
 
     @cached_property
-    def present(self) -> dict[str, Present]:
+    def model_elements(self) -> dict[str, ModelElement]:
         """What the model says of the element of each job and removal."""
         jobs = (*self.schedule.jobs, *self.schedule.removals)
-        return {job.id: _present(job.element, self.elements[job.element]) for job in jobs}
+        return {job.id: _model_element(job.element, self.elements[job.element]) for job in jobs}
 
     @property
     def standing_elements(self) -> frozenset[str]:
@@ -114,16 +114,16 @@ class LoadedModel:
         return {job.id: job.element for job in self.schedule.removals}
 
 
-def _present(element: str, facts: ElementFacts) -> Present:
+def _model_element(element: str, facts: ElementFacts) -> ModelElement:
     """Return what the model says of an element; its place to 0.1 mm, as files round numbers."""
     digest = ""
     if facts.bodies:
         goal = np.column_stack((facts.base_T_goal.rotation, facts.base_T_goal.position))
         # no -0.0 beside 0.0
         place = (np.round(goal, 4) + 0.0).tolist()
-        said = [element, facts.name, facts.ifc_class, body_digest(facts.bodies), place]
+        said = [element, facts.name, facts.ifc_class, bodies_digest(facts.bodies), place]
         digest = hashlib.sha256(json.dumps(said).encode()).hexdigest()
-    return Present(element, facts.name, facts.ifc_class, digest)
+    return ModelElement(element, facts.name, facts.ifc_class, digest)
 
 
 def element_in(item: SceneObject) -> str:

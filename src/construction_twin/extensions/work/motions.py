@@ -17,7 +17,7 @@ import numpy as np
 from construction_twin.core.clock import Clock
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
-from construction_twin.extensions.work.contacts import Shapes, difference
+from construction_twin.extensions.work.contacts import ShapeDistances, change_between
 from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.extensions.work.process import REACH, Recipe, Recipes, TaskMotions, WorkJob, process_of
 from construction_twin.kinematics.chain import Pose
@@ -47,7 +47,7 @@ BUDGET, FREE_BUDGET = 1.2, 0.7
 SOLUTIONS, PAIRS = 8, 6
 
 
-class Failed(Exception):
+class AttemptFailed(Exception):
     """One attempt was not possible.
 
     Attributes:
@@ -82,22 +82,22 @@ class Search:
     tool: ToolFile
     budget: float
     clock: Clock
-    make_world: Callable[[Scene], CollisionWorld]
-    shapes: Shapes = field(repr=False)
+    build_world: Callable[[Scene], CollisionWorld]
+    shapes: ShapeDistances = field(repr=False)
     _worlds: dict[str, CollisionWorld] = field(default_factory=dict, repr=False)
 
     @property
-    def late(self) -> bool:
+    def is_out_of_time(self) -> bool:
         """Whether the time for another attempt is over."""
         return self.clock() - self.began > self.budget
 
     def world(self, scene: Scene) -> CollisionWorld:
         """Return the collision world of a scene."""
         if scene.hash not in self._worlds:
-            self._worlds[scene.hash] = self.make_world(scene)
+            self._worlds[scene.hash] = self.build_world(scene)
         return self._worlds[scene.hash]
 
-    def demand_reach(self, pose: Pose, where: str, room: Callable[[], float] = float) -> None:
+    def require_reach(self, pose: Pose, where: str, room: Callable[[], float] = float) -> None:
         """Refuse a pose of the flange out of reach; `room`: Returns how far another method may have it from there [m]."""
         try:
             self.solver.nearest(pose, self.start)
@@ -105,9 +105,9 @@ class Search:
             # how far the tool's centre point can be from the arm's wrist
             size = float(np.linalg.norm(self.tool.tool.tool0_T_tcp.xyz)) + _WRIST
             hopeless = not error.too_close and error.missing > 2.0 * (room() + size)
-            raise Failed(REACH, f"{where}: {error}", hopeless) from error
+            raise AttemptFailed(REACH, f"{where}: {error}", hopeless) from error
         except KinematicsError as error:
-            raise Failed(REACH, f"{where}: {error}") from error
+            raise AttemptFailed(REACH, f"{where}: {error}") from error
 
     def solutions(self, pose: Pose, seed: np.ndarray, scene: Scene, stage: str, where: str) -> list[np.ndarray]:
         """Return collision-free joint solutions of a pose of the flange, the nearest first."""
@@ -115,18 +115,18 @@ class Search:
         try:
             found = [solution.q for solution in self.solver.all(pose, seed)]
         except KinematicsError as error:
-            raise Failed(REACH, f"{where}: {error}") from error
+            raise AttemptFailed(REACH, f"{where}: {error}") from error
         free = list(itertools.islice((q for q in found if world.is_free(q)), SOLUTIONS))
         if not free:
-            self.demand_free(found[0], scene, stage, where)
+            self.require_free(found[0], scene, stage, where)
         return free
 
-    def demand_free(self, q: np.ndarray, scene: Scene, stage: str, where: str) -> None:
+    def require_free(self, q: np.ndarray, scene: Scene, stage: str, where: str) -> None:
         """Refuse joint values at which something touches."""
         contact = self.world(scene).contact(q)
         if contact is not None:
             one, other = contact.between
-            raise Failed(
+            raise AttemptFailed(
                 stage,
                 Sentence(
                     "{where}, {first} touches {second} or is closer than the padding",
@@ -136,7 +136,7 @@ class Search:
                 ),
             )
 
-    def line(self, start: np.ndarray, pose: Pose, scale: float, scene: Scene, stage: str) -> Trajectory:
+    def line_motion(self, start: np.ndarray, pose: Pose, scale: float, scene: Scene, stage: str) -> Trajectory:
         """Return a checked straight way of the flange to a pose."""
         recipe: Recipe = self.recipe
         try:
@@ -146,16 +146,18 @@ class Search:
             trajectory, world = whole_cycles(motion.trajectory), self.world(scene)
             samples = self._checked(trajectory, world)
         except (PlanningError, KinematicsError) as error:
-            raise Failed(stage, str(error)) from error
-        touching = world.of_touching()
+            raise AttemptFailed(stage, str(error)) from error
+        touching = world.touching_world()
         found = None if touching is None else touching.clearance_of(samples)[0]
         if found is not None and found.distance < -recipe.penetration:
             one, other = found.between
             depth, most = -1e3 * found.distance, 1e3 * recipe.penetration
-            raise Failed(stage, f"{one} would be {depth:.1f} mm inside of {other}; at most {most:g} mm are allowed")
+            raise AttemptFailed(
+                stage, f"{one} would be {depth:.1f} mm inside of {other}; at most {most:g} mm are allowed"
+            )
         return trajectory
 
-    def free(
+    def free_motion(
         self, start: np.ndarray, goal: np.ndarray, scale: float, scene: Scene, stage: str
     ) -> tuple[Trajectory, float]:
         """Return a free way between two joint vectors, and the clearance on it [m]."""
@@ -165,7 +167,7 @@ class Search:
             trajectory = whole_cycles(plan.trajectory)
             self._checked(trajectory, world)
         except (PlanningError, KinematicsError) as error:
-            raise Failed(stage, str(error)) from error
+            raise AttemptFailed(stage, str(error)) from error
         return trajectory, plan.report.clearance.distance
 
     def nearest(self, solutions: Sequence[np.ndarray]) -> list[int]:
@@ -203,7 +205,7 @@ class PlanBuilder:
             samples = trajectory.sample_many(cycle_times(trajectory))[0]
             clearance = self._search.world(scene).clearance_of(samples)[0].distance
         self._clearance = min(self._clearance, clearance)
-        self._segments.append(WorkSegment(name, trajectory, engaged, requires, switches, difference(scene, after)))
+        self._segments.append(WorkSegment(name, trajectory, engaged, requires, switches, change_between(scene, after)))
         self._scenes.append(after)
 
     def plan(self, method: str, tool0_T_element: Pose | None = None) -> TaskMotions:
@@ -245,7 +247,7 @@ class TaskPlanner:
         self._settings = settings
         free = settings.model_copy(update={"planning_budget": min(settings.planning_budget, FREE_BUDGET)})
         self._planner = Planner(robot, solver, free, clock)
-        self._shapes = Shapes()
+        self._shapes = ShapeDistances()
         self._world: CollisionWorld | None = None
 
     def plan(self, job: WorkJob, start: JointValues, scene: Scene, held: Pose | None = None) -> TaskMotions:
@@ -263,9 +265,9 @@ class TaskPlanner:
         except KinematicsError as error:
             raise TaskPlanningError(job.task, Sentence("the arm's pose: {problem}", problem=str(error))) from error
         try:
-            search.demand_free(q, scene, "", "where the arm stands")
+            search.require_free(q, scene, "", "where the arm stands")
             return process.plan(search)
-        except Failed as failed:
+        except AttemptFailed as failed:
             raise TaskPlanningError(job.task, failed.reason, failed.stage, failed.method) from failed
 
     def _world_of(self, scene: Scene) -> CollisionWorld:

@@ -23,10 +23,12 @@ def labels(names: Mapping[str, str]) -> dict[str, str]:
     return {key: repr(name) if count[name] == 1 else f"{name!r} ({key})" for key, name in names.items() if name}
 
 
-def named(text: str, known: Mapping[str, str]) -> str:
+def with_names(text: str, known: Mapping[str, str]) -> str:
     """Return a sentence with names for ids, in the values of a `Sentence` too."""
     if isinstance(text, Sentence):
-        values = {key: named(value, known) if isinstance(value, str) else value for key, value in text.values.items()}
+        values = {
+            key: with_names(value, known) if isinstance(value, str) else value for key, value in text.values.items()
+        }
         return Sentence.of(_labelled(text, known), text.template, values)
     return _labelled(text, known)
 

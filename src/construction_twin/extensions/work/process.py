@@ -101,7 +101,7 @@ class Recipe(Strict):
     penetration: Annotated[float, pydantic.Field(ge=0.0, le=0.02)] = 0.0005
 
 
-def listed(value: Value) -> Any:
+def as_list(value: Value) -> Any:
     """Return a text as numbers, or as words when one is none; any other value as it is."""
     if not isinstance(value, str):
         return value
@@ -117,7 +117,7 @@ class Override:
 
     key: tuple[str, ...]
     ifc_type: str
-    read: Callable[[Value], Any] = listed
+    read: Callable[[Value], Any] = as_list
 
 
 #: What every process lets the model override.
@@ -147,7 +147,7 @@ class WorkJob:
     task_properties: Mapping[str, Value] = field(default_factory=dict)
 
     @property
-    def called(self) -> str:
+    def label(self) -> str:
         """The element in a sentence."""
         return (
             f"element {self.element.name!r} ({self.element.id})" if self.element.name else f"element {self.element.id}"
@@ -194,7 +194,7 @@ class Process:
         check_recipe: Takes a recipe, the tool, and file and name of the recipe; raises ConfigurationError.
         mass: Takes a job, name of its recipe, the recipe and the tool [kg]; None: unknown. Raises TaskPlanningError.
         acts: Name of the segment at whose end it acts.
-        plan: Takes a `motions.Search`; raises `motions.Failed`, of the attempt that came furthest, or TaskPlanningError.
+        plan: Takes a `motions.Search`; raises `motions.AttemptFailed`, of the attempt that came furthest, or TaskPlanningError.
     """
 
     moves: bool
@@ -277,7 +277,7 @@ class Recipes:
                 return name
         kind = f"{element.ifc_class} {element.type_name!r}" if element.type_name else element.ifc_class
         to_do = f"add one, or name one in {PROPERTY_SET}"
-        raise TaskPlanningError(job.task, f"no recipe of {self.file} fits {job.called}, {kind}; {to_do}")
+        raise TaskPlanningError(job.task, f"no recipe of {self.file} fits {job.label}, {kind}; {to_do}")
 
     def _overridden(self, job: WorkJob, recipe: Recipe, own: Mapping[str, Value]) -> Recipe:
         overrides = process_of(recipe.process).overrides
@@ -331,5 +331,5 @@ def _recipe(where: str, entry: dict[str, Any]) -> Recipe:
 
 
 def _wrong(job: WorkJob, name: str, value: object, expected: str) -> TaskPlanningError:
-    where = f"{job.called}, {PROPERTY_SET}.{name}"
+    where = f"{job.label}, {PROPERTY_SET}.{name}"
     return TaskPlanningError(job.task, f"{where}: found {value!r}, expected {expected}")

@@ -54,9 +54,9 @@ def propose(model: BuildingModel) -> BuildingModel:
     before: dict[int, set[int]] = {number: set() for number in range(len(solids))}
     for i, j in near:
         for lower, upper in ((i, j), (j, i)):
-            if _rests(solids[upper], solids[lower]):
+            if _rests_on(solids[upper], solids[lower]):
                 before[upper].add(lower)
-    notes += _held_at_the_side(solids, near, before)
+    notes += _order_by_side_support(solids, near, before)
     notes += _break_circles(solids, before)
     order = in_order(before, lambda number: solids[number].key())
     root = Task(global_id("proposed schedule", model.project), "Proposed order")
@@ -106,7 +106,7 @@ def _near(solids: list[_Solid]) -> list[tuple[int, int]]:
     return pairs
 
 
-def _rests(upper: _Solid, lower: _Solid) -> bool:
+def _rests_on(upper: _Solid, lower: _Solid) -> bool:
     """Return whether a downward face of one lies on an upward face of the other."""
     low = np.maximum(upper.low, lower.low)[:2]
     high = np.minimum(upper.high, lower.high)[:2]
@@ -142,7 +142,7 @@ def _heights(triangles: np.ndarray, points: np.ndarray, band: tuple[float, float
     return found
 
 
-def _held_at_the_side(solids: list[_Solid], near: list[tuple[int, int]], before: dict[int, set[int]]) -> list[str]:
+def _order_by_side_support(solids: list[_Solid], near: list[tuple[int, int]], before: dict[int, set[int]]) -> list[str]:
     """Put what nothing supports behind its neighbours that begin lower, in `before`; return notes on what is left."""
     ground = min(float(solid.low[2]) for solid in solids)
     touching: dict[int, set[int]] = {number: set() for number in before}
@@ -164,13 +164,13 @@ def _held_at_the_side(solids: list[_Solid], near: list[tuple[int, int]], before:
 
 def _waits_for(element: int, other: int, before: dict[int, set[int]]) -> bool:
     """Return whether one comes after the other already."""
-    seen, left = {element}, [element]
+    visited, left = {element}, [element]
     while left:
         at = left.pop()
         if at == other:
             return True
-        left += before[at] - seen
-        seen |= before[at]
+        left += before[at] - visited
+        visited |= before[at]
     return False
 
 

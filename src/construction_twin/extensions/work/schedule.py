@@ -192,7 +192,7 @@ class _Reading:
         waits = self._all_waits()
         jobs: list[Job] = []
         for identifier, products in self._products.items():
-            task, after, down = self._tasks[identifier], waits[identifier], self._takes_down(identifier)
+            task, after, down = self._tasks[identifier], waits[identifier], self._is_removal(identifier)
             robots = next(filter(None, (self._tasks[at].robots for at in self._above(identifier))), ())
             for number, product in enumerate(products, 1):
                 own = self._job_id(identifier, number)
@@ -201,7 +201,7 @@ class _Reading:
                 jobs.append(Job(own, identifier, task.name, product, () if down else robots, found, process))
                 after = {(own, True): 0.0}
                 self.removals |= {own} if down else set()
-        jobs = self._told_apart(jobs)
+        jobs = self._with_distinct_names(jobs)
         taken_down = {job.element for job in jobs if job.id in self.removals}
         for element in self._elements.values():
             if element.status == "demolish" and element.bodies and element.id not in taken_down:
@@ -210,17 +210,17 @@ class _Reading:
                 jobs.append(Job(own, own, f"Take down {element.name or element.id}", element.id, (), ()))
         for job in jobs:
             if job.id in self.removals:
-                said = (
+                remark = (
                     f"{job.element} is to be taken down ({job.name}): an obstacle until a person says that it is gone"
                 )
-                self.notes.append(f"{said} (`twin work removed {job.id}`).")
+                self.notes.append(f"{remark} (`twin work removed {job.id}`).")
         made = {job.element for job in jobs} | self._standing
         if left := [one for one in workpieces(self._model) if one not in made]:
-            said = f"No task makes {len(left)} of the elements: {first_few(left)}"
-            self.notes.append(f"{said}; the arm leaves them alone.")
+            remark = f"No task makes {len(left)} of the elements: {first_few(left)}"
+            self.notes.append(f"{remark}; the arm leaves them alone.")
         return tuple(jobs)
 
-    def _told_apart(self, jobs: list[Job]) -> list[Job]:
+    def _with_distinct_names(self, jobs: list[Job]) -> list[Job]:
         """Return the jobs, those that share a name with their element's behind it."""
         shared = Counter(job.name for job in jobs)
         found = []
@@ -230,7 +230,7 @@ class _Reading:
             found.append(replace(job, name=f"{job.name}: {element}") if more else job)
         return found
 
-    def _takes_down(self, identifier: str) -> bool:
+    def _is_removal(self, identifier: str) -> bool:
         """Return whether a task removes what is assigned to it: by its kind, or because all of that is to be removed."""
         task = self._tasks[identifier]
         known = [self._elements[one] for one in task.products if one in self._elements]
@@ -287,18 +287,18 @@ class _Reading:
             known = tuple(dict.fromkeys(one for one in given if one in self._elements))
             if self._children[identifier]:
                 if known:
-                    said = f"What task {identifier} makes is taken from the tasks that nest in it"
-                    self.notes.append(f"{said}: {first_few(known)}.")
+                    sentence = f"What task {identifier} makes is taken from the tasks that nest in it"
+                    self.notes.append(f"{sentence}: {first_few(known)}.")
                 continue
             if unknown := [one for one in task.products if one not in self._elements]:
-                said = f"Task {identifier} makes {first_few(unknown)}, which the arm cannot place"
-                self.notes.append(f"{said}: no such element was read.")
+                sentence = f"Task {identifier} makes {first_few(unknown)}, which the arm cannot place"
+                self.notes.append(f"{sentence}: no such element was read.")
             known = self._to_do(identifier, known)
             if not known:
                 if not task.milestone and task.kind == "makes" and not self._is_completed(identifier):
                     idle.append(identifier)
                 continue
-            for element in () if self._takes_down(identifier) else known:
+            for element in () if self._is_removal(identifier) else known:
                 if not self._moves(identifier, element):
                     works.append((identifier, element))
                     continue
@@ -312,14 +312,14 @@ class _Reading:
             if element in maker:
                 self._sequences[identifier].append(Sequence(maker[element], identifier))
         if idle:
-            said = f"{len(idle)} {'tasks' if len(idle) > 1 else 'task'} without element: {first_few(idle)}"
-            self.notes.append(f"{said}; kept for the order, no time is waited for.")
+            sentence = f"{len(idle)} {'tasks' if len(idle) > 1 else 'task'} without element: {first_few(idle)}"
+            self.notes.append(f"{sentence}; kept for the order, no time is waited for.")
         return self._without_temporary(found, maker)
 
     def _to_do(self, identifier: str, known: tuple[str, ...]) -> tuple[str, ...]:
         """Return what is left for a task to place or to take down: what stands is not placed again."""
         elements = self._elements
-        if self._takes_down(identifier):
+        if self._is_removal(identifier):
             # what the file calls completed still stands here until a person says that it does not
             return tuple(one for one in self._with_parts(known) if elements[one].bodies)
         if self._tasks[identifier].kind != "makes":
@@ -356,15 +356,15 @@ class _Reading:
                 if one in parts or (theirs & parts and (theirs < parts or (earlier and not theirs > parts))):
                     elsewhere |= {one, *theirs}
         wanted = [one for one in workpieces(model) if one in parts - elsewhere]
-        said = "nothing that is in it is left for this task"
+        sentence = "nothing that is in it is left for this task"
         if wanted:
             alone = replace(model, elements={one: model.elements[one] for one in wanted}, tasks={}, sequences=())
             wanted = [one for part in propose(alone).tasks.values() for one in part.products]
             self.guessed = self.guessed or len(wanted) > 1
             order = "one after the other, in an order from the geometry that a person must accept"
-            said = f"what is in it is placed {order}: {first_few(wanted)}"
+            sentence = f"what is in it is placed {order}: {first_few(wanted)}"
         assembly = f"Task {identifier} makes {model.elements[element].name or element}, which has no body of its own"
-        self.notes.append(f"{assembly}: {said}.")
+        self.notes.append(f"{assembly}: {sentence}.")
         return wanted
 
     def _without_temporary(
@@ -375,7 +375,7 @@ class _Reading:
         left = {}
         for identifier, elements in found.items():
             left[identifier] = elements
-            if not self._takes_down(identifier):
+            if not self._is_removal(identifier):
                 continue
             if placed := [element for element in elements if element in maker]:
                 said = f"Task {identifier} takes down {first_few(placed)}, which another task places: not read"
@@ -431,12 +431,12 @@ def _merge(waits: _Waits, more: _Waits, lag: float = 0.0) -> None:
 
 def _moments(jobs: tuple[Job, ...], model: BuildingModel) -> tuple[dict[str, float], str]:
     """Return the date of each job of a task, and a note; none where one is missing or they cannot be compared."""
-    given = {job.id: model.tasks[job.task].start for job in jobs if job.task in model.tasks}
-    dates = {one: datetime.fromisoformat(start) for one, start in given.items() if start}
-    if dates and (missing := len(given) - len(dates)):
-        return {}, f"Dates are not used for the order, because {missing} of {len(given)} jobs have none."
+    start_of = {job.id: model.tasks[job.task].start for job in jobs if job.task in model.tasks}
+    dates = {one: datetime.fromisoformat(start) for one, start in start_of.items() if start}
+    if dates and (missing := len(start_of) - len(dates)):
+        return {}, f"Dates are not used for the order, because {missing} of {len(start_of)} jobs have none."
     if len({date.tzinfo is None for date in dates.values()}) > 1:
         return {}, "Dates are not used for the order, because some have a time zone and others none."
-    if not dates and not model.sequences and len({job.task for job in jobs if job.id in given}) > 1:
+    if not dates and not model.sequences and len({job.task for job in jobs if job.id in start_of}) > 1:
         return {}, "The file says no order of its tasks, neither sequences nor dates: they come as they stand in it."
     return {one: date.timestamp() for one, date in dates.items()}, ""

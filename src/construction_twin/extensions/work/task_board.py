@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from construction_twin.core.reports import TaskReport, WorkReport
 from construction_twin.core.sentences import Sentence
-from construction_twin.extensions.work.built import (
+from construction_twin.extensions.work.as_built import (
     OFF,
     OFF_ANGLE,
     AsBuilt,
@@ -18,7 +18,7 @@ from construction_twin.extensions.work.built import (
 from construction_twin.extensions.work.errors import WorkError
 from construction_twin.extensions.work.ledger import Ledger, TaskStates
 from construction_twin.extensions.work.loaded_model import LoadedModel, Scheduled
-from construction_twin.extensions.work.names import labels, named
+from construction_twin.extensions.work.names import labels, with_names
 from construction_twin.extensions.work.task_memory import (
     ANSWERS_OF_FORMER,
     PLANNABLE,
@@ -65,10 +65,10 @@ class TaskBoard:
         handled = entry.event == TaskEvent.OFFERED.value and not memory.in_grip
         if task in self.states.after and (handled or not memory.body) and self.built.element(task).bodies:
             facts = self.built.element(task)
-            body, goal = self.ledger.keep(facts.bodies), pose_tuple(facts.base_T_goal)
+            body, goal = self.ledger.save_bodies(facts.bodies), pose_tuple(facts.base_T_goal)
             entry = replace(entry, name=facts.name, ifc_class=facts.ifc_class, body=body, goal=goal)
         if task in self.states.after and entry.event in _SEEING:
-            entry = replace(entry, seen=self.loaded.present[task].digest)
+            entry = replace(entry, seen=self.loaded.model_elements[task].digest)
         self.ledger.add(replace(entry, element=self.element_of(task)))
 
     @property
@@ -109,11 +109,11 @@ class TaskBoard:
             return f"{self.built.element(held[0]).name} is in the grip: {self.title(held[0])} comes first"
         state = states.tasks[task].state
         if state is TaskState.WAITING:
-            return Sentence("{task} waits for {tasks}", task=self.title(task), tasks=self._missing(task))
+            return Sentence("{task} waits for {tasks}", task=self.title(task), tasks=self._missing_titles(task))
         if state not in PLANNABLE:
             return f"{self.title(task)} is {state.value}"
         if task in self.loaded.removals:
-            name, say = self.built.element(task).name, removed_command(self.typed(task))
+            name, say = self.built.element(task).name, removed_command(self.typed_name(task))
             return f"{name} is to be taken down by people; when it is gone, a person says so: {say}"
         robots = self.loaded.schedule.job(task).robots
         if robots and self.robot not in robots:
@@ -122,23 +122,23 @@ class TaskBoard:
         if element in self.loaded.unplannable:
             return f"{self.title(task)} cannot be planned: {self.loaded.unplannable[element]}; skip it when it stands"
         if self.loaded.stays(task):
-            return self._not_there(task) or self._lag(task, now)
-        if state is TaskState.READY and element not in self.built.present():
+            return self._absence(task) or self._lag_sentence(task, now)
+        if state is TaskState.READY and element not in self.built.in_stock():
             return f"{self.built.element(task).name} is not delivered yet: its slot in the rack is taken by another element"
-        return self._lag(task, now)
+        return self._lag_sentence(task, now)
 
-    def _not_there(self, task: str) -> str:
+    def _absence(self, task: str) -> str:
         element, name = self.element_of(task), self.built.element(task).name
         placing = self.loaded.schedule.placing.get(element)
-        if element in self.built.gone():
+        if element in self.built.taken_down():
             return f"{name} was taken down; skip {self.title(task)}"
         if placing and not self.states.tasks[placing].placed:
             to_do = f"if it stands, say where (`twin work measured`), else skip {self.title(task)}, too"
             return f"{name} does not count as placed: {self.title(placing)} is {self.states.tasks[placing].state.value}; {to_do}"
         return ""
 
-    def left_closed(self, commanded: Collection[str]) -> str:
-        """Return what a person does about a grip that is closed on nothing, as after one that was not confirmed.
+    def empty_grip_remedy(self, commanded: Collection[str]) -> str:
+        """Return what a person does about a grip closed on nothing; empty: it holds something, or is open.
 
         The next approach would suck too early, and no plan opens it. `commanded`: The outputs that command it to hold.
         """
@@ -155,7 +155,7 @@ class TaskBoard:
         """Return the GlobalId of a task's element."""
         return self.built.job(task).element
 
-    def report(self, now: int) -> WorkReport:
+    def state_report(self, now: int) -> WorkReport:
         """Return the state of the work; the arm is not engaged."""
         return WorkReport(
             model=self.loaded.model,
@@ -172,15 +172,15 @@ class TaskBoard:
         """Return a task's name in sentences, with the id where others have it."""
         return self.loaded.titles.get(task) or repr(self.built.element(task).name)
 
-    def typed(self, task: str) -> str:
-        """Return what a person types for a task: its name, or its id where others have it."""
+    def typed_name(self, task: str) -> str:
+        """Return the word that a person types for a task: its name, or its id where others have it."""
         name = self.built.job(task).name
         return name if name and self.title(task) == repr(name) else task
 
-    def called(self, sentence: str) -> str:
+    def with_names(self, sentence: str) -> str:
         """Return a sentence with names in place of ids."""
         former = labels({each.element: each.name for each in self.states.former.values()})
-        return named(sentence, {**self.loaded.titles, **former})
+        return with_names(sentence, {**self.loaded.titles, **former})
 
     def summary(self, now: int) -> str:
         """Return what the work waits for."""
@@ -222,21 +222,21 @@ class TaskBoard:
 
     def _reason(self, task: str, now: int) -> str:
         """Return what a task waits for, and remarks on it until it is done."""
-        reason = self._stands(task, now)
+        reason = self._standing_sentence(task, now)
         if self.states.tasks[task].state is not TaskState.DONE:
             for remark in self.loaded.schedule.remarks.get(task, ()):
                 note = Sentence("Note: {remark}", remark=remark)
                 reason = Sentence("{reason}. {note}", reason=reason, note=note) if reason else note
         return reason
 
-    def _stands(self, task: str, now: int) -> str:
+    def _standing_sentence(self, task: str, now: int) -> str:
         memory = self.states.tasks[task]
         if memory.state is TaskState.ASKS:
             return ""
         if task not in self.states.after:
             return "placed, and not in the model: an obstacle until a person says that it was taken away"
         if memory.state is TaskState.WAITING:
-            return f"waits for {self._missing(task)}"
+            return f"waits for {self._missing_titles(task)}"
         if memory.state in PLANNABLE:
             return self.failures.get(task) or self.obstacle(task, now) or "can be planned"
         if memory.state is TaskState.PLANNED:
@@ -280,16 +280,16 @@ class TaskBoard:
             return ("taken_away",)
         return (*((SAME,) if self.built.counterpart(task) else ()), *ANSWERS_OF_FORMER)
 
-    def _missing(self, task: str) -> str:
+    def _missing_titles(self, task: str) -> str:
         return ", ".join(map(self.title, self.states.missing(task)))
 
-    def _lag(self, task: str, now: int) -> str:
+    def _lag_sentence(self, task: str, now: int) -> str:
         tasks = self.states.tasks
         started = {name: memory.begun_ns / 1e9 for name, memory in tasks.items() if memory.begun_ns}
         finished = {name: memory.settled_ns / 1e9 for name, memory in tasks.items() if memory.state in SETTLED}
         # what was skipped has started, too
         waits = self.loaded.schedule.waits_for(task, {**finished, **started}, finished, now / 1e9)
-        return f"{self.title(task)} waits {named(waits, self.loaded.titles)}" if waits else ""
+        return f"{self.title(task)} waits {with_names(waits, self.loaded.titles)}" if waits else ""
 
 
 #: Events by which what the model says of an element is seen by the arm, or by a person.

@@ -220,8 +220,8 @@ class Entry:
     Attributes:
         event: Value of a `TaskEvent`, or one of `OF_NO_TASK`.
         task, element: GlobalIds.
-        body: Digest of the element's pieces (`Ledger.keep`), by which it stands without its model.
-        seen: `Present.digest` when it was handled; `NOT_IN_MODEL`.
+        body: Digest of the element's pieces (`Ledger.save_bodies`), by which it stands without its model.
+        seen: `ModelElement.digest` when it was handled; `NOT_IN_MODEL`.
         former: Of `same`, `found` and `unknown`: the task that handled the element before.
         source: Of `released` and `same`: `MEASURED` or `PLANNED`. Of `found`: "<ledger> <task> <time>".
         offer: Stands in the plan's `source`, by which a plan without known id is found.
@@ -339,11 +339,11 @@ class TaskMemory:
         """Whether the process of its plan leaves the element where it stands."""
         return bool(self.process) and not process_of(self.process).moves
 
-    def takes(self, entry: Entry) -> bool:
-        """Return whether an event fits the present state."""
+    def accepts(self, entry: Entry) -> bool:
+        """Return whether an entry's event fits the present state."""
         return self._row(entry) is not None
 
-    def then(self, entry: Entry) -> TaskMemory:
+    def with_entry(self, entry: Entry) -> TaskMemory:
         """Return what is known after one more event of this task.
 
         Raises:
@@ -420,7 +420,7 @@ class TaskMemory:
         return self.placed or self.in_grip or self.state in doubtful
 
     @property
-    def taken(self) -> bool:
-        """Whether the element does not lie in its stock any more."""
+    def has_left_stock(self) -> bool:
+        """Whether the element has left its stock."""
         # of a skipped task a person takes the element out, so that the next can be delivered
         return self.in_grip or self.placed or self.gone or self.state is TaskState.SKIPPED

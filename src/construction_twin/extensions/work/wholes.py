@@ -51,7 +51,7 @@ _PROJECTS = "IfcProjectionElement"
 
 def parts_of(elements: Mapping[str, Element], whole: str) -> list[str]:
     """Return what is a part of an element, or of a part of it, or what a group holds; nearest first."""
-    return _below(_held(elements)[0], whole)
+    return _below(_dependents(elements)[0], whole)
 
 
 def in_one_piece(
@@ -64,12 +64,12 @@ def in_one_piece(
     """
     placed = {one for task in tasks.values() if task.kind == "makes" for one in task.products}
     named = {one for task in tasks.values() for one in (*task.products, *task.inputs)}
-    parts, guests = _held(elements)
+    parts, guests = _dependents(elements)
     found: dict[str, Element] = {}
     for name in sorted(elements, key=lambda one: len(wholes(elements, one))):
         whole, below = found.get(name, elements[name]), _below(parts, name)
-        made = name in factory and named.isdisjoint(below)
-        if whole.status or not (made or (whole.bodies and name in placed)):
+        prefabricated = name in factory and named.isdisjoint(below)
+        if whole.status or not (prefabricated or (whole.bodies and name in placed)):
             continue
         with_it: dict[str, None] = {}
         left = [*parts[name], *guests[name]]
@@ -77,13 +77,13 @@ def in_one_piece(
             one = left.pop(0)
             part = found.get(one, elements[one])
             of_it = part.assembly in (name, *with_it) and part.ifc_class not in _JOINS
-            comes = of_it or part.ifc_class == _PROJECTS or (made and {*part.on} <= {name, *below})
+            comes = of_it or part.ifc_class == _PROJECTS or (prefabricated and {*part.on} <= {name, *below})
             if one not in with_it and one not in named and not part.status and comes:
                 with_it[one] = None
                 left += [*parts[one], *guests[one]]
         joined = [part for part in (found.get(one, elements[one]) for one in with_it) if part.bodies]
         if joined:
-            found[name] = _joined(whole, joined, made)
+            found[name] = _joined(whole, joined, prefabricated)
             found |= {part.id: replace(part, bodies=()) for part in joined}
     return found
 
@@ -100,14 +100,14 @@ def comes_after(elements: Mapping[str, Element], placed: Collection[str]) -> dic
             of_whole[whole].add(one)
     with_parts = {element.assembly for element in elements.values()}
 
-    def before(hosts: Iterable[str], seen: tuple[str, ...]) -> set[str]:
+    def before(hosts: Iterable[str], visited: tuple[str, ...]) -> set[str]:
         found: set[str] = set()
         for host in hosts:
             element = elements.get(host)
             # what stands has what is on it
-            if element is None or element.status or host in seen:
+            if element is None or element.status or host in visited:
                 continue
-            found |= of_whole.get(host) or before((element.assembly, *element.on), (*seen, host))
+            found |= of_whole.get(host) or before((element.assembly, *element.on), (*visited, host))
         return found
 
     found = {}
@@ -122,7 +122,7 @@ def comes_after(elements: Mapping[str, Element], placed: Collection[str]) -> dic
     return found
 
 
-def _held(elements: Mapping[str, Element]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
+def _dependents(elements: Mapping[str, Element]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
     """Return the parts or members of elements, and what is on them."""
     parts: dict[str, list[str]] = defaultdict(list)
     guests: dict[str, list[str]] = defaultdict(list)
@@ -155,11 +155,11 @@ def wholes(elements: Mapping[str, Element], name: str) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _joined(whole: Element, parts: list[Element], made: bool) -> Element:
+def _joined(whole: Element, parts: list[Element], prefabricated: bool) -> Element:
     masses = [element.mass for element in (whole, *parts) if element.bodies]
     mass = None if None in masses else sum(mass for mass in masses if mass is not None)
     # what a whole from a factory weighs is said of all of it
-    mass = whole.mass if made and whole.mass is not None else mass
+    mass = whole.mass if prefabricated and whole.mass is not None else mass
     bodies = [*whole.bodies]
     for part in parts:
         at = relative(whole.model_T_element, part.model_T_element)

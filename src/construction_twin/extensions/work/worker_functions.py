@@ -15,20 +15,20 @@ import numpy as np
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.worker import rss_mb, serve_parent
+from construction_twin.extensions.work.as_built import pose_of_tuple
 from construction_twin.extensions.work.building import BuildingModel, Element
-from construction_twin.extensions.work.built import pose_of_tuple
 from construction_twin.extensions.work.element_bodies import box_of, element_shapes, element_triangles
 from construction_twin.extensions.work.errors import PlacementError, TaskPlanningError
 from construction_twin.extensions.work.ifc.reading import read_building
+from construction_twin.extensions.work.layout import Layout
 from construction_twin.extensions.work.loaded_model import ElementFacts, LoadedModel, Scheduled
 from construction_twin.extensions.work.motions import TaskPlanner
 from construction_twin.extensions.work.names import first_few
 from construction_twin.extensions.work.process import TaskMotions, WorkJob, process_of
 from construction_twin.extensions.work.proposed_schedule import propose
 from construction_twin.extensions.work.schedule import Schedule
-from construction_twin.extensions.work.site import Site, pose_of, read_site
-from construction_twin.extensions.work.site_scene import Layout
 from construction_twin.extensions.work.wholes import wholes
+from construction_twin.extensions.work.work_cell import WorkCell, pose_of, read_work_cell
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.planner import PlannerSettings
@@ -75,8 +75,8 @@ class CheckedTask:
 
 
 @dataclass(frozen=True, eq=False)
-class Session:
-    """What was read, for planning. Not for use from several threads at once."""
+class PlanningContext:
+    """What `load_model` leaves for the plans of one process. For one thread."""
 
     robot: RobotModel
     planner: TaskPlanner
@@ -101,7 +101,7 @@ class Session:
             reason = str(error)
             if isinstance(error, TaskPlanningError):
                 found, reason = replace(found, stage=error.stage, grip=error.method), error.reason
-            return replace(found, planning=time.monotonic() - began, reason=building.called(reason, job.element))
+            return replace(found, planning=time.monotonic() - began, reason=building.with_names(reason, job.element))
         acts = process_of(job.process).acts
         at = next(segment for segment in plan.segments if segment.name == acts).trajectory.positions[-1]
         return replace(
@@ -130,7 +130,7 @@ class Session:
         return scene, layout.job_for(job.element, scene, job.id)
 
     def _path(self, plan: TaskMotions) -> Iterator[tuple[float, float, float]]:
-        chain, tool0_T_tcp = Chain(self.robot), pose_of(self.layout.site.tool.tool.tool0_T_tcp)
+        chain, tool0_T_tcp = Chain(self.robot), pose_of(self.layout.work_cell.tool.tool.tool0_T_tcp)
         for segment in plan.segments:
             count = max(2, int(segment.trajectory.duration / _PATH_STEP))
             for q in segment.trajectory.sample_many(np.linspace(0.0, segment.trajectory.duration, count))[0]:
@@ -138,11 +138,11 @@ class Session:
                 yield round(float(x), 3), round(float(y), 3), round(float(z), 3)
 
 
-#: Filled by `prepare`; the process serves one parent.
-_SESSIONS: list[Session] = []
+#: Filled by `load_model`; the process serves one parent.
+_CONTEXTS: list[PlanningContext] = []
 
 
-def prepare(
+def load_model(
     model: str | BuildingModel,
     cell: str,
     robot: RobotModel,
@@ -151,35 +151,35 @@ def prepare(
     cache: str,
 ) -> LoadedModel:
     """Read a model, a path of an IFC file or what was read of it, and its cell; `cache`: folder for what is made of it."""
-    site = read_site(cell)
+    work_cell = read_work_cell(cell)
     building = read_building(model, Path(cache) / "models") if isinstance(model, str) else model
     proposed = not building.tasks
     if proposed:
         building = propose(building)
-    schedule = Schedule.of(building, proposed, site.recipes.process)
+    schedule = Schedule.of(building, proposed, work_cell.recipes.process)
     order = list(dict.fromkeys(job.element for job in schedule.jobs))
     chain = Chain(robot)
-    tool = pose_of(site.tool.tool.tool0_T_tcp)
+    tool = pose_of(work_cell.tool.tool.tool0_T_tcp)
     reach = chain.reach + float(np.linalg.norm(chain.shoulder)) + float(np.linalg.norm(tool.position))
-    base = site.base(building).id if site.file.base_element else ""
-    placement = check_placement(building, site.model_T_base(building), reach, base)
+    base = work_cell.base(building).id if work_cell.file.base_element else ""
+    placement = check_placement(building, work_cell.model_T_base(building), reach, base)
     # what is doubted, or has no usable body, stands as an obstacle, and does not stop the others
     doubted = {one: building.element(one).doubt for one in order if building.element(one).doubt}
     bodies = Path(cache) / "bodies"
     shapes, failures = element_shapes((building.element(one) for one in order if one not in doubted), bodies)
     pieces = {element: shape.objects for element, shape in shapes.items()}
-    stands, boxed = standing(building, pieces, site, reach, bodies)
-    schedule.notes = tuple(map(building.called, schedule.notes))
-    schedule.remarks = {job: tuple(map(building.called, said)) for job, said in schedule.remarks.items()}
+    stands, boxed = standing_obstacles(building, pieces, work_cell, reach, bodies)
+    schedule.notes = tuple(map(building.with_names, schedule.notes))
+    schedule.remarks = {job: tuple(map(building.with_names, said)) for job, said in schedule.remarks.items()}
     usable = [element for element in order if element in pieces]
-    layout = Layout(site, building, pieces, usable, robot.tip_link, stands, schedule.jobs)
-    unplannable = {element: building.called(why) for element, why in (failures | doubted).items()}
+    layout = Layout(work_cell, building, pieces, usable, robot.tip_link, stands, schedule.jobs)
+    unplannable = {element: building.with_names(why) for element, why in (failures | doubted).items()}
     elements = {}
     for element in dict.fromkeys((*order, *(job.element for job in schedule.removals))):
         read = building.element(element)
         elements[element] = ElementFacts(
             read.name or read.tag or element, pieces.get(element, ()),
-            layout.base_T_goal(element), element_triangles(read), _mass(site, building, schedule, read),
+            layout.base_T_goal(element), element_triangles(read), _mass(work_cell, building, schedule, read),
             read.ifc_class,
         )  # fmt: skip
     notes = [*building.notes, *placement, *failures.values(), *boxed]
@@ -192,8 +192,8 @@ def prepare(
     rng = np.random.default_rng(known["seed"])
     solver = inverse_kinematics(chain, IkSettings(budget_s=planner.get("ik_budget", 0.5)), rng, time.monotonic)
     links, settings = read_self_collision(self_collision, robot), PlannerSettings.model_validate(known)
-    tasks = TaskPlanner(robot, solver, settings, links, site.tool, site.recipes, time.monotonic)
-    _SESSIONS[:] = [Session(robot, tasks, layout, schedule, unplannable)]
+    tasks = TaskPlanner(robot, solver, settings, links, work_cell.tool, work_cell.recipes, time.monotonic)
+    _CONTEXTS[:] = [PlanningContext(robot, tasks, layout, schedule, unplannable)]
     # the duration of a task that makes several elements is none of theirs
     scheduled = {
         job.id: Scheduled(task.start, task.duration if job.id == job.task else None)
@@ -208,9 +208,9 @@ def prepare(
         schedule_digest=hashlib.sha256(json.dumps([asdict(job) for job in schedule.jobs]).encode()).hexdigest(),
         elements=elements,
         stock=layout.stock,
-        tool=site.tool.tool,
-        tool_objects=tool_objects(site.tool, robot.tip_link),
-        notes=tuple(map(building.called, notes)),
+        tool=work_cell.tool.tool,
+        tool_objects=tool_objects(work_cell.tool, robot.tip_link),
+        notes=tuple(map(building.with_names, notes)),
         unplannable=unplannable,
         standing=layout.standing,
         scheduled=scheduled,
@@ -218,14 +218,14 @@ def prepare(
     )
 
 
-def _mass(site: Site, building: BuildingModel, schedule: Schedule, element: Element) -> float | None:
+def _mass(work_cell: WorkCell, building: BuildingModel, schedule: Schedule, element: Element) -> float | None:
     """Return the mass that an element is planned with [kg]; None: nobody says, or its recipe is wrong, which planning tells."""
     placing = schedule.placing.get(element.id)
     task = building.tasks.get(schedule.job(placing).task) if placing else None
     job = WorkJob(element.id, element, task_properties=task.properties if task is not None else {})
     try:
-        name, recipe = site.recipes.of(job)
-        return process_of(recipe.process).mass(job, name, recipe, site.tool.tool)
+        name, recipe = work_cell.recipes.of(job)
+        return process_of(recipe.process).mass(job, name, recipe, work_cell.tool.tool)
     except TaskPlanningError:
         return element.mass
 
@@ -237,20 +237,20 @@ def plan(task: str, element: str, start: tuple[float, ...], scene: Scene, held: 
         start: Length n. Where the arm stands.
         held: Length 7 or 0. ``tool0_T_element`` of an element in the grip; empty: it lies in its stock.
     """
-    if not _SESSIONS:
+    if not _CONTEXTS:
         raise TaskPlanningError(task, "the model has not been read in this process yet")
-    session = _SESSIONS[0]
-    job = session.layout.job_for(element, scene, task)
+    context = _CONTEXTS[0]
+    job = context.layout.job_for(element, scene, task)
     try:
-        return session.planner.plan(job, start, scene, held=pose_of_tuple(held) if held else None)
+        return context.planner.plan(job, start, scene, held=pose_of_tuple(held) if held else None)
     except TaskPlanningError as error:
-        reason = session.layout.building.called(error.reason, element)
+        reason = context.layout.building.with_names(error.reason, element)
         raise TaskPlanningError(error.task, reason, error.stage, error.method) from error
 
 
 def check(number: int) -> tuple[CheckedTask, int, float]:
     """Return what was found for one job of the schedule, by its number from 0; this process, and its memory [MB]."""
-    return _SESSIONS[0].check(number), os.getpid(), rss_mb()
+    return _CONTEXTS[0].check(number), os.getpid(), rss_mb()
 
 
 # -- what stands, and where
@@ -293,25 +293,27 @@ def _figures(values: np.ndarray) -> str:
     return "(" + ", ".join(f"{value:.2f}" for value in values) + ") m"
 
 
-def standing(
-    building: BuildingModel, made: Collection[str], site: Site, reach: float, folder: Path
+def standing_obstacles(
+    building: BuildingModel, made_by_tasks: Collection[str], work_cell: WorkCell, reach: float, folder: Path
 ) -> tuple[dict[str, tuple[SceneObject, ...]], list[str]]:
     """Return what no task makes and the arm, or what it carries, can reach.
 
     Args:
-        made: Ids of the elements that tasks make; what they are parts of stands no more than they do.
+        made_by_tasks: Ids of the elements that tasks make; what they are parts of stands no more than they do.
 
     Returns:
         Convex pieces of each element in its own frame, ``<GlobalId>/<number>``, and a sentence for each for which its box stands.
     """
     # what exists stands, whatever new is a part of it
-    whole = {one for name in made for one in wholes(building.elements, name) if not building.elements[one].status}
-    left_out = {*made, *whole, *([site.base(building).id] if site.file.base_element else [])}
-    base, most = site.model_T_base(building), reach + _CARRIED
+    whole = {
+        one for name in made_by_tasks for one in wholes(building.elements, name) if not building.elements[one].status
+    }
+    left_out = {*made_by_tasks, *whole, *([work_cell.base(building).id] if work_cell.file.base_element else [])}
+    base, most = work_cell.model_T_base(building), reach + _CARRIED
     others = [one for one in building.elements.values() if one.bodies and one.id not in left_out]
     shapes, failures = element_shapes([one for one in others if _distance(one.box, base) <= most], folder)
-    said = "cannot be divided into bodies, its box is the obstacle, and the arm does not place it"
-    notes = [f"{name} {said}: {failure}" for name, failure in failures.items()]
+    sentence = "cannot be divided into bodies, its box is the obstacle, and the arm does not place it"
+    notes = [f"{name} {sentence}: {failure}" for name, failure in failures.items()]
     boxes = {name: (box_of(building.element(name)),) for name in failures}
     return {name: shape.objects for name, shape in shapes.items()} | boxes, notes
 
@@ -320,4 +322,4 @@ if __name__ == "__main__":
     # records that are sent must be of a module that the parent has, too
     from construction_twin.extensions.work import worker_functions as own
 
-    serve_parent({"prepare": own.prepare, "plan": own.plan, "check": own.check})
+    serve_parent({"load_model": own.load_model, "plan": own.plan, "check": own.check})

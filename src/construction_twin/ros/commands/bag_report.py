@@ -10,7 +10,7 @@ from pathlib import Path
 import genpy
 from rich.console import Console
 
-from construction_twin.core.errors import ConstructionTwinError, problem_of, spoken
+from construction_twin.core.errors import ConstructionTwinError, command_message, system_message
 from construction_twin.core.files import check_writable
 from construction_twin.evaluation.bag import PLAN, TYPES, choose_robot, open_bag, read_recording
 from construction_twin.evaluation.recording import Recording
@@ -28,7 +28,7 @@ def read_plans(path: Path, namespace: str | None = None) -> list[Plan]:
             recorded = bag.raw({f"{robot.rstrip('/')}/{PLAN}": TYPES[PLAN]})
             messages = [PlanMsg().deserialize(data) for _, data, _ in recorded]
     except genpy.DeserializationError as error:
-        raise ConstructionTwinError(f"{path} cannot be read as a rosbag: {problem_of(error)}") from error
+        raise ConstructionTwinError(f"{path} cannot be read as a rosbag: {system_message(error)}") from error
     # a latched plan is recorded once more by whoever listens again
     return list({message.id: plan_from_msg(message) for message in messages}.values())
 
@@ -54,7 +54,7 @@ def report_bag(
         check_writable(directory)
         files = write(read_recording(options.bag, options.robot), directory, console)
     except (ConstructionTwinError, OSError) as error:
-        print(f"{program}: {spoken(error)}", file=sys.stderr)
+        print(f"{program}: {command_message(error)}", file=sys.stderr)
         return 1
     print_files(console, files)
     return 0

@@ -9,8 +9,8 @@ import rospy
 from rich.console import Console
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.extensions import extension
-from construction_twin.core.files import write_whole
+from construction_twin.core.extensions import import_extension
+from construction_twin.core.files import write_atomically
 from construction_twin.core.share import share_file
 from construction_twin.evaluation.recording import Recording
 from construction_twin.evaluation.report import write_report
@@ -66,5 +66,5 @@ def _write_plans(options: argparse.Namespace, robot: RobotModel, directory: Path
         if plan.trajectory.joint_names != robot.joint_names:
             raise ConstructionTwinError(f"plan {plan.id} has other joints; give --robot-xacro and --robot-config")
         files.append(directory / f"plan_{len(files) + 1}.csv")
-        write_whole(files[-1], extension("planners.waypoint_file").format_plan(plan, robot.linear))
+        write_atomically(files[-1], import_extension("planners.waypoint_file").format_plan(plan, robot.linear))
     return tuple(files)

@@ -14,7 +14,7 @@ import pydantic
 import rospy
 from rich.console import Console
 
-from construction_twin.core.errors import ConstructionTwinError, spoken
+from construction_twin.core.errors import ConstructionTwinError, command_message
 from construction_twin.core.files import check_writable
 from construction_twin.core.units import from_wire
 from construction_twin.evaluation.bag import read_recording
@@ -88,13 +88,13 @@ class Experiment:
         bag = directory / "experiment.bag"
         with Recorder(bag, topics, rospy.resolve_name("recorder")) as recorder:
             self._wait(lambda: "" if recorder.connected() else "the recorder to connect", "the recording did not start")
-            self._say(f"recording to {bag}")
+            self._print(f"recording to {bag}")
             for number, goal in enumerate(self._settings.goals_deg, start=1):
                 self._play(self._plan(goal), f"plan {number} of {len(self._settings.goals_deg)}")
             self._wait_for_rest()
             self._wait_for_counters()
             recorder.stop(self._settings.timeout)
-        self._say("evaluating")
+        self._print("evaluating")
         twin = rospy.get_param("virtual_robot/twin", "")
         report = write_report(read_recording(bag, rospy.get_namespace()), self._robot, directory, twin)
         point_latest(results, directory)
@@ -116,7 +116,7 @@ class Experiment:
         )
         if not answer.success:
             raise ConstructionTwinError(f"the task could not be planned: {answer.message}")
-        self._say(answer.message)
+        self._print(answer.message)
         return answer.plan_id
 
     def _play(self, plan_id: str, title: str) -> None:
@@ -134,21 +134,21 @@ class Experiment:
 
     def _follow(self, plan_id: str, title: str) -> Execution:
         """Print the progress of a plan, a line for each tenth, until it ends; return the executor's report of that."""
-        said = -1
+        printed = -1
         while True:
             now = self._execution
             if now.plan_id != plan_id or now.state in (Execution.WAITING, Execution.IDLE):
                 if now.outcome == "finished":
-                    self._say(f"{title}: 100 %")
+                    self._print(f"{title}: 100 %")
                 return now
             played = rospy.get_time() - now.plan_start.to_sec()
             if played > now.duration + self._settings.timeout:
                 raise ConstructionTwinError(
                     f"the plan of {now.duration:g} s plays for {played:.0f} s; is the executor alive?"
                 )
-            if (tenth := min(9, int(10.0 * played / now.duration))) > said:
-                said = tenth
-                self._say(f"{title}: {10 * tenth} %")
+            if (tenth := min(9, int(10.0 * played / now.duration))) > printed:
+                printed = tenth
+                self._print(f"{title}: {10 * tenth} %")
             self._pause()
 
     def _wait_for_rest(self) -> None:
@@ -182,13 +182,13 @@ class Experiment:
     def _wait(self, lacking: Callable[[], str], failure: str) -> None:
         """Wait until `lacking` returns an empty text, printing what it says; raise with `failure` after the timeout."""
         deadline = time.monotonic() + self._settings.timeout
-        said = None
+        printed = None
         while text := lacking():
             if time.monotonic() > deadline:
                 raise ConstructionTwinError(f"{failure} within {self._settings.timeout:g} s: {text}")
-            if text != said:
-                self._say(f"waiting for {text}")
-                said = text
+            if text != printed:
+                self._print(f"waiting for {text}")
+                printed = text
             self._pause()
 
     def _pause(self) -> None:
@@ -196,7 +196,7 @@ class Experiment:
             raise ConstructionTwinError("interrupted")
         time.sleep(_POLL)
 
-    def _say(self, text: str) -> None:
+    def _print(self, text: str) -> None:
         self._console.print(text, soft_wrap=True)
 
 
@@ -207,7 +207,7 @@ def point_latest(results: Path, directory: Path) -> None:
     link.replace(results / "latest")
 
 
-def checked(parameters: Parameters = rospy) -> tuple[ExperimentSettings, RobotModel]:
+def checked_parameters(parameters: Parameters = rospy) -> tuple[ExperimentSettings, RobotModel]:
     """Return what the node starts with; raise the ConstructionTwinError that it is refused for."""
     settings, robot = read_parameters(ExperimentSettings, parameters), robot_from_parameters(parameters=parameters)
     joints = len(robot.joint_names)
@@ -227,9 +227,9 @@ def main() -> int:
         await_master()
         with ending_on_signals():
             rospy.init_node("experiment", disable_signals=True)
-            report = Experiment(*checked(), console).run()
+            report = Experiment(*checked_parameters(), console).run()
     except (ConstructionTwinError, rospy.ROSException, rospy.ServiceException, OSError) as error:
-        print(f"experiment: {spoken(error)}", file=sys.stderr, flush=True)
+        print(f"experiment: {command_message(error)}", file=sys.stderr, flush=True)
         return 1
     render_tables(report.summary, console)
     print_files(console, report.files)

@@ -18,7 +18,7 @@ import rospy
 import yaml
 
 from construction_twin.controller.makes import DEFAULT, MODULES, make_of
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, spoken
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, command_message
 from construction_twin.core.files import check_writable
 from construction_twin.core.share import share_file, share_folder
 from construction_twin.kinematics.chain import Chain
@@ -45,13 +45,13 @@ from construction_twin.scene.self_collision import (
 def launch_text(values: Mapping[str, str], make: str) -> str:
     """Return a launch file that starts everything for one arm; every other argument of bringup.launch can be given to it."""
     bringup = ElementTree.parse(share_folder() / "launch" / "bringup.launch")
-    told = {arg.get("name"): arg.get("doc", "") for arg in bringup.iter("arg")}
+    docs = {arg.get("name"): arg.get("doc", "") for arg in bringup.iter("arg")}
     lines = [
         "<launch>",
         f"  <!-- {values['robot']}, its twin, and what is between them. Written by new_arm; the command stands in the robot YAML.",
         "       Takes every argument of construction_twin's bringup.launch, e.g. arm:=real, gui:=true. -->",
         *(
-            f"  <arg name={quoteattr(name)} default={quoteattr(value)}\n       doc={quoteattr(told[name])}/>"
+            f"  <arg name={quoteattr(name)} default={quoteattr(value)}\n       doc={quoteattr(docs[name])}/>"
             for name, value in values.items()
         ),
         "",
@@ -119,10 +119,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     options = _parser().parse_args(words)
     try:
-        for line in _make(options, f"rosrun construction_twin new_arm {shlex.join(words)}"):
+        for line in _write_files(options, f"rosrun construction_twin new_arm {shlex.join(words)}"):
             print(line)
     except (ConstructionTwinError, OSError) as error:
-        print(f"new_arm: {spoken(error)}", file=sys.stderr)
+        print(f"new_arm: {command_message(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130
@@ -154,7 +154,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _make(options: argparse.Namespace, command: str) -> list[str]:
+def _write_files(options: argparse.Namespace, command: str) -> list[str]:
     if not 0 < options.full_speed_in < float("inf") or options.samples < 1:
         given = options.full_speed_in, options.samples
         raise ConfigurationError("--full-speed-in, --samples", given, "positive numbers")

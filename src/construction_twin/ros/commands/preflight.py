@@ -17,7 +17,7 @@ from rosmaster.paramserver import ParamDictionary
 
 from construction_twin.broker import start as broker
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.extensions import ExtensionAbsent, extension, node_modules
+from construction_twin.core.extensions import ExtensionAbsent, import_extension, node_modules
 from construction_twin.core.share import share_folder
 from construction_twin.ros.commands import experiment, scenario
 from construction_twin.ros.nodes import rsi_gateway
@@ -56,17 +56,23 @@ def _broker(words: list[str], _parameters: LaunchParameters) -> None:
 
 
 def _experiment(words: list[str], parameters: LaunchParameters) -> None:
-    job = extension("work.commands.build") if words == ["build"] else scenario if words == ["scenario"] else experiment
-    job.checked(parameters)
+    job = (
+        import_extension("work.commands.build")
+        if words == ["build"]
+        else scenario
+        if words == ["scenario"]
+        else experiment
+    )
+    job.checked_parameters(parameters)
 
 
 #: What a program is checked by that is no `NodeShell`'s, or that an argument asks an extension for; takes its words and parameters.
 PROGRAMS: dict[str, Callable[[list[str], LaunchParameters], object]] = {
     "broker": _broker,
-    "console": lambda words, _parameters: extension("console.program").check(words),
-    "rsi_gateway": rsi_gateway.checked,
+    "console": lambda words, _parameters: import_extension("console.program").check(words),
+    "rsi_gateway": rsi_gateway.checked_config,
     "experiment": _experiment,
-    "work": lambda _words, parameters: extension("work.nodes.work").NODE.checked(parameters),
+    "work": lambda _words, parameters: import_extension("work.nodes.work").NODE.checked_parameters(parameters),
 }
 #: Programs that only show something, and the example of a PLC.
 _UNCHECKED = ("view", "plc")
@@ -80,15 +86,15 @@ def check_node(node: Node, values: Mapping[str, Any]) -> None:
         return
     if node.type == "separation":
         sys.path.append(str(share_folder() / "examples" / "separation"))
-        importlib.import_module("separation_node").NODE.checked(parameters)
+        importlib.import_module("separation_node").NODE.checked_parameters(parameters)
         return
     module = node_modules().get(node.type, f"construction_twin.extensions.{node.type}")
     name = module.removeprefix("construction_twin.extensions.")
     try:
-        found = importlib.import_module(module) if name == module else extension(name)
+        found = importlib.import_module(module) if name == module else import_extension(name)
     except ExtensionAbsent:
         return  # its node waits, and the others work without it
-    found.NODE.checked(parameters)
+    found.NODE.checked_parameters(parameters)
 
 
 def refusals(nodes: Iterable[Node], values: Mapping[str, Any]) -> dict[str, list[str]]:

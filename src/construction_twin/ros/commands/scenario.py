@@ -24,7 +24,7 @@ from rich.text import Text
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, spoken
+from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, command_message
 from construction_twin.core.extensions import node_modules
 from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
@@ -110,7 +110,7 @@ class ScenarioDriver:
     def __init__(self, scenario: Scenario, robot: RobotModel, console: Console):
         self._scenario, self._robot, self._console = scenario, robot, console
         #: What was seen and done, in order; `actions` is what this program did itself.
-        self.seen: list[Change] = []
+        self.changes: list[Change] = []
         self.actions: list[Change] = []
         self._passed: list[Change] = []
         self._plan: Plan | None = None
@@ -157,7 +157,7 @@ class ScenarioDriver:
         """Return the last state of a topic; of ``outcome`` the last plan's."""
         if topic == "outcome":
             return self._execution.outcome
-        return next((c.value for c in reversed(self.seen) if c.topic == topic), "")
+        return next((c.value for c in reversed(self.changes) if c.topic == topic), "")
 
     # -- steps
 
@@ -175,7 +175,7 @@ class ScenarioDriver:
         elif step.inject:
             self._inject(step.inject, f"{step}")
         elif step.call:
-            self._note("call", step.call)
+            self._record_action("call", step.call)
             service = self._stop if step.call == "stop" else rospy.ServiceProxy(step.call, Trigger)
             self._check(step.call, service())
 
@@ -199,11 +199,11 @@ class ScenarioDriver:
 
     def _entered(self, topic: str, state: str) -> int:
         """Return when a state was entered since the last step [ns]; 0 when it was not."""
-        changes = [*self._passed, *self.seen]
+        changes = [*self._passed, *self.changes]
         return next((c.stamp for c in changes if (c.topic, c.value) == (topic, state) and c.stamp >= self._since), 0)
 
     def _move(self, move: Move) -> None:
-        self._note("move", str(move.goal_deg))
+        self._record_action("move", str(move.goal_deg))
         self._moved = rospy.Time.now().to_nsec()
         goal = from_wire(move.goal_deg, self._robot.linear)
         plan = rospy.ServiceProxy("plan_to_joints", PlanToJoints)
@@ -229,7 +229,7 @@ class ScenarioDriver:
                 raise ScenarioError(f"plan {plan.id} was approved; expected a refusal")
             self.actions.append(Change(rospy.Time.now().to_nsec(), "refused", plan.id, answer.message))
             return
-        self._note("approve", plan.id)
+        self._record_action("approve", plan.id)
         self._check("review_plan", answer)
 
     def _new_plan(self) -> Plan | None:
@@ -241,13 +241,13 @@ class ScenarioDriver:
         )
         self._check(what, answer)
         if fault.fault in ("restart_at", "jog"):
-            self._note("fault", fault.fault)
+            self._record_action("fault", fault.fault)
 
     def _check(self, what: str, answer) -> None:
         if not answer.success:
             raise ScenarioError(f"{what}: {answer.message}")
 
-    def _note(self, topic: str, value: str) -> None:
+    def _record_action(self, topic: str, value: str) -> None:
         self.actions.append(Change(rospy.Time.now().to_nsec(), topic, value))
 
     def _wait(self, condition: Callable[[], Any], what: str, deadline: float) -> Any:
@@ -262,13 +262,13 @@ class ScenarioDriver:
         return found
 
     def _reasons(self) -> str:
-        return "; ".join(c.reason for topic in STATES for c in [c for c in self.seen if c.topic == topic][-1:])
+        return "; ".join(c.reason for topic in STATES for c in [c for c in self.changes if c.topic == topic][-1:])
 
     # -- subscriptions
 
     def _on_state(self, topic: str, message) -> None:
         if message.text != self.now(topic):
-            self.seen.append(Change(message.header.stamp.to_nsec(), topic, message.text, message.reason))
+            self.changes.append(Change(message.header.stamp.to_nsec(), topic, message.text, message.reason))
 
     def _on_transition(self, message: Transition) -> None:
         # a state that is left within the same cycle, as HOLDING for REPLANNING, is not on `sync`
@@ -410,7 +410,7 @@ def _closings(transitions: list, syncs: list) -> Iterator[SyncMoment]:
             yield SyncMoment(stamp, *measured, last.servo_lag)
 
 
-def checked(parameters: Parameters = rospy) -> tuple[ScenarioSettings, dict]:
+def checked_parameters(parameters: Parameters = rospy) -> tuple[ScenarioSettings, dict]:
     """Return the node's settings and its scenario; raise the ConstructionTwinError that it is refused for."""
     content = parameters.get_param("~", {})
     given = {name: content.pop(name) for name in ScenarioSettings.model_fields if name in content}
@@ -432,10 +432,10 @@ def main() -> int:
         await_master()
         with ending_on_signals():
             rospy.init_node("scenario", disable_signals=True)
-            settings, content = checked()
+            settings, content = checked_parameters()
             verdict = run_scenario(settings, content, console)
     except (ConstructionTwinError, rospy.ROSException, OSError) as error:
-        print(f"scenario: {spoken(error)}", file=sys.stderr, flush=True)
+        print(f"scenario: {command_message(error)}", file=sys.stderr, flush=True)
         return 1
     print_verdict(verdict, console)
     console.print(f"Written: {Path(settings.results_dir).expanduser() / settings.name / VERDICT}", soft_wrap=True)

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused, SilenceError
-from construction_twin.core.extensions import extension
-from construction_twin.core.files import write_whole
+from construction_twin.core.extensions import import_extension
+from construction_twin.core.files import write_atomically
 from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.msg import Execution, Rehearsal, Scene
 from construction_twin.robot.description import RobotModel
@@ -56,7 +56,7 @@ class Command:
         """Do it; see `OperatorClient` for what is raised."""
         name = self._options.command
         if name in TRIGGERS:
-            return _print(self._client.trigger(name))
+            return _print_outcome(self._client.trigger(name))
         return getattr(self, f"_{name}")()
 
     def _plan(self) -> Exit:
@@ -78,10 +78,10 @@ class Command:
     def _plan_to(self, kind: str, **goal: Any) -> Exit:
         options = self._options
         asked = GoalRequest(kind, duration=options.duration or 0.0, speed_scale=options.speed or 0.0, **goal)
-        return _print(self._client.plan(asked))
+        return _print_outcome(self._client.plan(asked))
 
     def _back(self) -> Exit:
-        return _print(self._client.plan(GoalRequest("way_back")))
+        return _print_outcome(self._client.plan(GoalRequest("way_back")))
 
     def _show(self) -> Exit:
         listener = self._listener()
@@ -98,7 +98,7 @@ class Command:
         plan = listener.plan(newest.id)
         if plan is None:
             raise RequestRefused(listener.refused)
-        format_plan = extension("planners.waypoint_file").format_plan
+        format_plan = import_extension("planners.waypoint_file").format_plan
         if write_or_print(options.file, format_plan(plan, self._robot().linear, options.deg)):
             print(f"plan {plan.id}: {len(plan.trajectory.times)} waypoints in {options.file}")
         return Exit.DONE
@@ -110,21 +110,21 @@ class Command:
         layout, make = config.layout, config.make
         if write_or_print(self._options.file, config.to_json()):
             tool = f"tool {config.tool.name}, {', '.join(make.tool_channels(layout))}" if config.tool else "no tool"
-            kept = (
-                f"; not filled, so they stay as they are: {', '.join(layout.not_filled)}" if layout.not_filled else ""
+            unfilled = (
+                f"; not filled, so they stay as they are: {', '.join(layout.unfilled)}" if layout.unfilled else ""
             )
             print(
                 f"{self._options.file}: configuration {config.hash[:12]} of {config.robot}, {config.decimals} decimals; "
-                f"{make.words.protocol} on UDP port {layout.port}, {layout.summary}; {tool}{kept}"
+                f"{make.words.protocol} on UDP port {layout.port}, {layout.summary}; {tool}{unfilled}"
             )
         return Exit.DONE
 
     def _preview(self) -> Exit:
-        return _print(self._client.preview(self._options.speed))
+        return _print_outcome(self._client.preview(self._options.speed))
 
     def _work(self) -> Exit:
         """Do one step of the work from a building model; approving is as for every plan, once the plan is that of a task."""
-        work = extension("work.commands.twin_work").WorkCommand(self._options, account_name(), self._client)
+        work = import_extension("work.commands.twin_work").WorkCommand(self._options, account_name(), self._client)
         if self._options.step != "approve":
             return work.run()
         return self._approve(*work.plan_under_review())
@@ -139,18 +139,18 @@ class Command:
                 f"plan {plan.id} is under review, not {expected} of the task: twin show, twin work list"
             )
         self._print_plan(plan, listener, with_names)
-        seen = self._print_rehearsal(plan) if options.override_rehearsal else None
+        shown_hash = self._print_rehearsal(plan) if options.override_rehearsal else None
         if not options.yes and not _confirmed():
             print("not approved; the plan still waits", file=sys.stderr)
             return Exit.NOT_CONFIRMED
-        self._review(plan, "approved", seen)
+        self._review(plan, "approved", shown_hash)
         return self._wait(listener, plan) if options.wait else Exit.DONE
 
     def _reject(self) -> Exit:
         return self._review(self._under_review(self._listener()), "rejected")
 
     def _arm(self) -> Exit:
-        return _print(self._client.arm(self._options.responsible))
+        return _print_outcome(self._client.arm(self._options.responsible))
 
     def _status(self) -> Exit:
         listener = self._listener()
@@ -192,9 +192,9 @@ class Command:
         from construction_twin.scene.self_collision import SelfCollision
 
         bodies = RobotBodies(self._robot())
-        planners = extension("planners.planner_scene")
-        told = planners.planner_scene(bodies, scene, SelfCollision({}, ""))
-        text, remarks = planners.scene_text(told, f"{self._options.robot} {scene.hash[:12]}")
+        planners = import_extension("planners.planner_scene")
+        planning_scene = planners.planner_scene(bodies, scene, SelfCollision({}, ""))
+        text, remarks = planners.scene_text(planning_scene, f"{self._options.robot} {scene.hash[:12]}")
         for remark in remarks:
             print(f"twin: {remark}", file=sys.stderr)
         if write_or_print(file, text):
@@ -206,7 +206,7 @@ class Command:
         """Show what the rehearsal of the newest plan has found; one that did not pass is told by the exit code."""
         to_do = "have a motion planned, or see on /diagnostics why there is no rehearsal"
         message = self._client.latched("rehearsal", Rehearsal, "no plan was rehearsed yet", to_do)
-        return Exit.DONE if _printed(message).state == "passed" else Exit.REFUSED
+        return Exit.DONE if _print_report(message).state == "passed" else Exit.REFUSED
 
     # -- what several of them need
 
@@ -249,11 +249,11 @@ class Command:
         print("\n".join(map(with_names, lines)))
 
     def _caller_line(self, plan: Plan, listener: RobotListener) -> str:
-        def told() -> bool:
+        def caller_received() -> bool:
             newest = listener.newest("plan_caller")
             return newest is not None and newest.plan_id == plan.id
 
-        if not listener.wait(told, min(LATCHED, self._options.timeout)):
+        if not listener.wait(caller_received, min(LATCHED, self._options.timeout)):
             return caller_line(plan.source.removeprefix(f"{BY_ACTION} "), None)
         caller = listener.newest("plan_caller")
         return caller_line(caller.client, caller.connected)
@@ -267,24 +267,24 @@ class Command:
         if message is None or (message.plan_id, message.plan_hash) != (plan.id, plan.hash):
             print(f"plan {plan.id} was not rehearsed yet, and it must be")
             return ""
-        return _printed(message).hash
+        return _print_report(message).hash
 
-    def _review(self, plan: Plan, verdict: str, seen: str | None = None) -> Exit:
-        """Give a verdict; `seen`: an approval in spite of the rehearsal whose result has this hash, "" for none."""
+    def _review(self, plan: Plan, verdict: str, shown_hash: str | None = None) -> Exit:
+        """Give a verdict; `shown_hash`: an approval in spite of the rehearsal whose result has this hash, "" for none."""
         given = plan.id, plan.hash, verdict, self._options.reviewer or account_name(), self._options.reason
-        request = ReviewRequest(*given, override_rehearsal=seen is not None, rehearsal_hash=seen or "")
-        return _print(self._client.review(request))
+        request = ReviewRequest(*given, override_rehearsal=shown_hash is not None, rehearsal_hash=shown_hash or "")
+        return _print_outcome(self._client.review(request))
 
     def _wait(self, listener: RobotListener, plan: Plan) -> Exit:
-        seen = []
+        reported = []
 
         def over() -> bool:
             report = listener.newest("execution")
             if report.plan_id == plan.id:
-                seen.append(report.plan_id)
+                reported.append(report.plan_id)
                 return report.state in _AT_REST and bool(report.outcome)
             # after this plan the executor reports another one or none (a new session, another executor), or it is gone
-            return bool(seen) or not listener.publishers("execution")
+            return bool(reported) or not listener.publishers("execution")
 
         listener.wait(over, None)
         report = listener.newest("execution")
@@ -311,16 +311,16 @@ def run(options: argparse.Namespace) -> int:
         connect(options)
         return Command(options).run()
     except SilenceError as error:
-        return _report(error, Exit.SILENT)
+        return _print_error(error, Exit.SILENT)
     except ConfigurationError as error:
-        return _report(error, Exit.USAGE)
+        return _print_error(error, Exit.USAGE)
     except ConstructionTwinError as error:
-        return _report(error, Exit.REFUSED)
+        return _print_error(error, Exit.REFUSED)
     except KeyboardInterrupt:
         return Exit.INTERRUPTED
 
 
-def _report(error: ConstructionTwinError, code: Exit) -> Exit:
+def _print_error(error: ConstructionTwinError, code: Exit) -> Exit:
     print(f"twin: {error}", file=sys.stderr)
     return code
 
@@ -331,13 +331,13 @@ def write_or_print(file: str, text: str) -> bool:
         print(text, end="")
         return False
     try:
-        write_whole(Path(file).absolute(), text)
+        write_atomically(Path(file).absolute(), text)
     except OSError as error:
         raise ConfigurationError(file, error.strerror or str(error), "a file that can be written") from error
     return True
 
 
-def _printed(message: Any) -> RehearsalReport:
+def _print_report(message: Any) -> RehearsalReport:
     """Print what a rehearsal has found, and return it; ConstructionTwinError where its hash is not its own."""
     from construction_twin.evaluation.tables import table_console
     from construction_twin.review.rehearsal_report import RehearsalReport, is_whole
@@ -351,7 +351,7 @@ def _printed(message: Any) -> RehearsalReport:
     return report
 
 
-def _print(outcome: Outcome) -> Exit:
+def _print_outcome(outcome: Outcome) -> Exit:
     print(outcome.message)
     return Exit.DONE
 

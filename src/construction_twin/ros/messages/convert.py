@@ -69,7 +69,7 @@ def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray, changes: Seque
         changes: What each segment of a work plan does to the scene, for displays.
     """
     clearance, usage = plan.report.clearance, plan.report.usage
-    told = changes or [SceneChange()] * len(plan.segments)
+    segment_changes = changes or [SceneChange()] * len(plan.segments)
     msg = PlanMsg(
         **{name: getattr(plan, name) for name in _ALIKE},
         asked=str(plan.asked),
@@ -84,7 +84,9 @@ def plan_to_msg(plan: Plan, frame_id: str, tool_path: np.ndarray, changes: Seque
         velocity_use=list(usage.velocity),
         acceleration_use=list(usage.acceleration),
         jerk_use=list(usage.jerk),
-        segments=[segment_to_msg(segment, change) for segment, change in zip(plan.segments, told, strict=True)],
+        segments=[
+            segment_to_msg(segment, change) for segment, change in zip(plan.segments, segment_changes, strict=True)
+        ],
     )
     msg.header.frame_id = frame_id
     return msg

@@ -15,7 +15,7 @@ from urdf_parser_py.urdf import Box, Cylinder, Mesh
 from visualization_msgs.msg import Marker
 
 from construction_twin.core.sentences import Quantity
-from construction_twin.core.units import axis_name, to_people
+from construction_twin.core.units import axis_name, to_display_unit
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.monitor.states import SyncState
 from construction_twin.review.rehearsal_report import BROKEN, FAILED, PASSED, AxisLoad, RehearsalReport
@@ -140,7 +140,7 @@ def worst_joint(
     if not rows:
         return ""
     _, name, error, threshold, unit = max(rows)
-    return f"{name} differs by {Quantity(error, unit):.3}, allowed {to_people(threshold, unit)[0]:.3f}"
+    return f"{name} differs by {Quantity(error, unit):.3}, allowed {to_display_unit(threshold, unit)[0]:.3f}"
 
 
 # -- a plan
@@ -245,9 +245,9 @@ def rehearsal_markers(
         aside += y / len(report.axes)
         markers += column
     for number, one in enumerate(report.contacts):
-        said = f"{one.first} and {one.second}: {one.time:.2f} s, {one.force:.0f} N"
+        text = f"{one.first} and {one.second}: {one.time:.2f} s, {one.force:.0f} N"
         markers.append(_sphere(one.point, frame, number, CONTACT, CONTACT_SIZE, "rehearsal_contacts"))
-        markers.append(_above(one.point, said, frame, number, CONTACT, "rehearsal_contact_names"))
+        markers.append(_above(one.point, text, frame, number, CONTACT, "rehearsal_contact_names"))
     lines = [HEADLINES[report.state]]
     lines += [textwrap.shorten(reason, LINE_LENGTH, placeholder="...") for reason in report.reasons[:MOST_REASONS]]
     if len(report.reasons) > MOST_REASONS:
@@ -293,14 +293,14 @@ def _column(axis: AxisLoad, foot: tuple[float, float], arm_length: float, frame:
 # -- single markers
 
 
-def _above(below: Iterable[float], said: str, frame: str, number: int, colour, namespace: str) -> Marker:
+def _above(below: Iterable[float], text: str, frame: str, number: int, colour, namespace: str) -> Marker:
     x, y, z = below
-    return _text(said, frame, number, (x, y, z + REHEARSAL_ROOM), colour, namespace, REHEARSAL_TEXT)
+    return _text(text, frame, number, (x, y, z + REHEARSAL_ROOM), colour, namespace, REHEARSAL_TEXT)
 
 
-def _text(said: str, frame: str, number: int, at: Iterable[float], colour, namespace: str, size: float) -> Marker:
+def _text(text: str, frame: str, number: int, at: Iterable[float], colour, namespace: str, size: float) -> Marker:
     marker = _marker(frame, number, Marker.TEXT_VIEW_FACING, colour, size, namespace)
-    marker.text, marker.pose.position = said, Point(*map(float, at))
+    marker.text, marker.pose.position = text, Point(*map(float, at))
     return marker
 
 

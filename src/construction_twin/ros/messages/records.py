@@ -1,7 +1,7 @@
 """A record and its ROS message, field by field by their names: one converter for both directions.
 
 Times are whole ns, arrays of key and value are mappings; fields that only one of the two has keep their defaults. A message with a
-field `said` carries what another language needs of the sentences in it (`core.sentences.told`), as JSON.
+field `said` carries what another language needs of the sentences in it (`core.sentences.templates_of`), as JSON.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import genpy
 from diagnostic_msgs.msg import KeyValue
 from genpy.message import get_message_class  # type: ignore[attr-defined]
 
-from construction_twin.core.sentences import Sentence, heard, told
+from construction_twin.core.sentences import Sentence, sentences_of, templates_of
 from construction_twin.core.units import NANOSECONDS
 
 _Record = TypeVar("_Record")
@@ -36,7 +36,7 @@ def to_msg(record: Any, kind: type[genpy.Message]) -> Any:
 def with_sentences(message: Any, *parts: object) -> Any:
     """Return a message with what another language needs of the sentences in these parts, if it has a field for that."""
     if hasattr(message, "said"):
-        found = told(*parts)
+        found = templates_of(*parts)
         message.said = json.dumps(found) if found else ""
     return message
 
@@ -47,16 +47,17 @@ def sentence_of(message: genpy.Message, text: str) -> str:
 
 
 def _sentences_of(message: genpy.Message) -> Mapping[str, Sentence]:
-    return _heard(getattr(message, "said", ""))
+    return _parsed_sentences(getattr(message, "said", ""))
 
 
 @functools.lru_cache(maxsize=64)
-def _heard(said: str) -> Mapping[str, Sentence]:
-    return heard(json.loads(said)) if said else {}
+def _parsed_sentences(said: str) -> Mapping[str, Sentence]:
+    return sentences_of(json.loads(said)) if said else {}
 
 
 def _record(kind: Any, message: Any, known: Mapping[str, Sentence]) -> Any:
-    return kind(**{name: _read(hint, _value(message, name), known) for name, hint in _hints(kind, type(message))})  # type: ignore[arg-type]  # a class is hashable
+    hints = _hints(kind, type(message))  # type: ignore[arg-type]  # a class is hashable
+    return kind(**{name: _record_value(hint, _value(message, name), known) for name, hint in hints})
 
 
 def _message(record: Any, kind: type[genpy.Message]) -> Any:
@@ -65,9 +66,9 @@ def _message(record: Any, kind: type[genpy.Message]) -> Any:
     for each in fields(record):
         value = getattr(record, each.name)
         if each.name in slots:
-            setattr(message, each.name, _written(value, slots[each.name]))
+            setattr(message, each.name, _ros_value(value, slots[each.name]))
         elif each.name == "stamp" and "header" in slots:
-            message.header.stamp = _written(value, "time")
+            message.header.stamp = _ros_value(value, "time")
     return message
 
 
@@ -82,14 +83,14 @@ def _value(message: Any, name: str) -> Any:
     return message.header.stamp if name == "stamp" and hasattr(message, "header") else getattr(message, name)
 
 
-def _read(hint: Any, value: Any, known: Mapping[str, Sentence]) -> Any:
+def _record_value(hint: Any, value: Any, known: Mapping[str, Sentence]) -> Any:
     if isinstance(value, str):
         return known.get(value, value)
     if isinstance(value, (genpy.Time, genpy.Duration)):
         return value.to_nsec()
     if get_origin(hint) is tuple:
         (item, *_) = get_args(hint)
-        return tuple(_read(item, each, known) for each in value)
+        return tuple(_record_value(item, each, known) for each in value)
     if isinstance(value, (list, tuple)):
         return {pair.key: pair.value for pair in value}
     if is_dataclass(hint):
@@ -99,11 +100,11 @@ def _read(hint: Any, value: Any, known: Mapping[str, Sentence]) -> Any:
     return value
 
 
-def _written(value: Any, kind: str) -> Any:
+def _ros_value(value: Any, kind: str) -> Any:
     if kind.endswith("[]"):
         if isinstance(value, Mapping):
             return [KeyValue(*pair) for pair in value.items()]
-        return [_written(each, kind[:-2]) for each in value]
+        return [_ros_value(each, kind[:-2]) for each in value]
     if kind == "time":
         return genpy.Time(*divmod(value, NANOSECONDS))
     if is_dataclass(value):

@@ -37,7 +37,7 @@ from construction_twin.ros.messages.display_markers import (
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import tf_frame
 from construction_twin.ros.shared import node_shell as shell
-from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
 from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.plan_display import PlanDisplay
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
@@ -83,7 +83,7 @@ class ShownPoses(Generic[Shown]):
         self._at = 0.0
         self._left_out: Shown | None = None
 
-    def take(self, now: float, names: Sequence[str], q: Sequence[float], shown: Shown) -> Shown | None:
+    def next_shown(self, now: float, names: Sequence[str], q: Sequence[float], shown: Shown) -> Shown | None:
         """Return what is shown now: the pose, at the end of a rest the one before, or None."""
         same_joints = tuple(names) == self._names
         moved = not same_joints or any(abs(value - before) > STILL for value, before in zip(q, self._q))
@@ -127,7 +127,7 @@ class RobotFrames:
         self._root, self._place = model.get_root(), to_frame(place)
         moves = {name: Following(name, 1.0, 0.0) for name in robot.joint_names}
         moves |= {other.name: other.following for other in robot.other_joints if other.following is not None}
-        stands = {other.name: other.position for other in robot.other_joints if other.position is not None}
+        positions = {other.name: other.position for other in robot.other_joints if other.position is not None}
         # kept: its segments live in it
         self._segments = to_kdl(model.joints)
         self._still: list[tuple[str, str, PyKDL.Frame]] = []
@@ -140,7 +140,7 @@ class RobotFrames:
                 self._moving.append((joint.parent, joint.child, segment, leader, following))
                 continue
             frames = self._floating if joint.joint_type == "floating" else self._still
-            frames.append((joint.parent, joint.child, segment.pose(stands.get(joint.name, 0.0))))
+            frames.append((joint.parent, joint.child, segment.pose(positions.get(joint.name, 0.0))))
 
     def of_the_twin(self, prefix: str, stamp: genpy.Time) -> list[TransformStamped]:
         """Return what the stock nodes leave out of the twin: where it stands, and floating joints, which no joint state holds."""
@@ -174,11 +174,11 @@ def _transform(parent: str, child: str, place: PyKDL.Frame, stamp: genpy.Time) -
 class DisplayNode:
     """Poses, trees of tf and the picture of the monitor's state; the plan is a `PlanDisplay`'s."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
         self._robot = robot
-        self._publishers, self._diagnostics = ports.publishers, ports.diagnostics
+        self._publishers, self._diagnostics = node_io.publishers, node_io.diagnostics
         self._shapes = visual_markers(robot.urdf)
-        self.plan = PlanDisplay(robot, self._shapes, self._prefix("preview"), ports)
+        self.plan = PlanDisplay(robot, self._shapes, self._prefix("preview"), node_io)
         self._text_height = headline_height(Chain(robot))
         self._sync: tuple[float, Sync] | None = None
         self._hold: HoldReport | None = None
@@ -187,11 +187,11 @@ class DisplayNode:
         # poses come in a thread of their own: a pose and the end of its motion must not overtake each other
         self._lock = threading.Lock()
         self._twin: tuple[int, tuple[float, ...]] | None = None
-        self._heard = self._next = 0.0
+        self._received_at = self._next = 0.0
         self._silent = False
         self._twin_shown: ShownPoses[JointState] = ShownPoses()
         self._poses_shown = {tree: ShownPoses[tuple[int, tuple[float, ...]]]() for tree in TREES}
-        cell = ports.parameters["cell"]
+        cell = node_io.parameters["cell"]
         place = Pose(np.zeros(3), np.eye(3)) if cell is None else load_cell(cell).world_T_root(robot.name)
         self._frames = RobotFrames(robot, place)
         self._publish_static_frames(settings)
@@ -217,7 +217,7 @@ class DisplayNode:
         """Publish a pose of the twin with velocities and its own stamp, and take the next one when it is its turn."""
         now = time.monotonic()
         with self._lock:
-            self._twin, self._heard, self._silent = (stamp, q), now, False
+            self._twin, self._received_at, self._silent = (stamp, q), now, False
             self._publish_twin(stamp, q, self._velocities.of(stamp, q))
         # a grid, so that the rate does not depend on how long a message takes; begun anew after a silence
         self._next = max(self._next + PERIOD, now)
@@ -227,7 +227,7 @@ class DisplayNode:
     def on_joints(self, message: JointState) -> None:
         """Pass on what tf is made of, of the twin."""
         with self._lock:  # anybody may publish these
-            shown = self._twin_shown.take(time.monotonic(), message.name, message.position, message)
+            shown = self._twin_shown.next_shown(time.monotonic(), message.name, message.position, message)
         if shown is not None:
             self._publishers["shown/twin"].publish(shown)
         time.sleep(FRAME_PERIOD)
@@ -237,7 +237,7 @@ class DisplayNode:
         now = time.monotonic()
         with self._lock:
             twin = self._twin
-            if twin is not None and not self._silent and now - self._heard >= SILENCE:
+            if twin is not None and not self._silent and now - self._received_at >= SILENCE:
                 self._silent = True
                 # the pose is known of its own time only
                 self._publish_twin(*twin, (0.0,) * len(twin[1]))
@@ -252,7 +252,7 @@ class DisplayNode:
 
     def show(self, tree: str, stamp: int, q: tuple[float, ...]) -> tuple[int, tuple[float, ...]] | None:
         """Publish a pose [rad] in a tree of tf and return it, if it is its turn."""
-        shown = self._poses_shown[tree].take(time.monotonic(), (), q, (stamp, q))
+        shown = self._poses_shown[tree].next_shown(time.monotonic(), (), q, (stamp, q))
         if shown is not None:
             self._publish_frames(tree, *shown)
         return shown
@@ -275,8 +275,8 @@ class DisplayNode:
 
     def show_sync(self) -> None:
         """Make the picture of the state anew, and publish it where it has changed."""
-        heard, last = self._sync or (-math.inf, None)
-        if last is None or time.monotonic() - heard > SYNC_SILENCE:
+        received_at, last = self._sync or (-math.inf, None)
+        if last is None or time.monotonic() - received_at > SYNC_SILENCE:
             shown = SyncState.WAITING, "no report on sync: is pca_monitor running?", ""
         else:
             state, cause = SyncState(last.state), hold_cause(self._hold)
@@ -291,14 +291,14 @@ class DisplayNode:
         over_arm = headline_marker(*shown, tf_frame(prefix, self._robot.base_link), self._text_height)
         publisher.publish(MarkerArray(markers=[*arm_markers(self._shapes, shown[0], prefix), over_arm]))
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         values = {"plan": self.plan.plan_id, "state": self._sync_shown[0].name if self._sync_shown else ""}
         if self._twin is None:
-            return Report(WARN, "the twin has no pose yet", values)
+            return Diagnosis(WARN, "the twin has no pose yet", values)
         if self._silent:
-            return Report(WARN, "the twin is silent: its last pose is shown, at rest", values)
-        return Report(OK, "shows twin, arm and plan", values)
+            return Diagnosis(WARN, "the twin is silent: its last pose is shown, at rest", values)
+        return Diagnosis(OK, "shows twin, arm and plan", values)
 
 
 def _shown_pose(topic: str, tree: str, when: shell.When) -> shell.PoseSubscription:
@@ -308,7 +308,7 @@ def _shown_pose(topic: str, tree: str, when: shell.When) -> shell.PoseSubscripti
 
 
 INTERFACE = shell.Interface(
-    report=DisplayNode.report,
+    diagnose=DisplayNode.diagnose,
     parameters=(shell.SharedParameter("cell"),),
     publishes=(
         shell.Publication("velocities/joint_states", JointState, queue_size=5),
@@ -319,7 +319,7 @@ INTERFACE = shell.Interface(
         shell.Publication("plan_markers", MarkerArray, queue_size=2, latch=True),
         shell.Publication("sync_markers", MarkerArray, queue_size=2, latch=True, when=shell.has_arm),
     ),
-    hears=(
+    subscribes=(
         shell.PoseSubscription("twin/joint_states", DisplayNode.on_twin, queue_size=1),
         shell.Subscription("joint_states", JointState, DisplayNode.on_joints, queue_size=1),
         _shown_pose("physical/joint_states", "physical", shell.has_arm),
@@ -336,9 +336,9 @@ INTERFACE = shell.Interface(
         shell.Subscription("rehearsal", Rehearsal, lambda node, message: node.plan.on_rehearsal(message), queue_size=2),
     ),
     serves=(shell.Served("preview_plan", PreviewPlan, lambda node, request: node.plan.on_preview(request)),),
-    every=(
-        shell.Every(lambda _settings: FRAME_PERIOD, DisplayNode.move_ghost),
-        shell.Every(lambda _settings: SYNC_PERIOD, DisplayNode.show_sync),
+    timers=(
+        shell.NodeTimer(lambda _settings: FRAME_PERIOD, DisplayNode.move_ghost),
+        shell.NodeTimer(lambda _settings: SYNC_PERIOD, DisplayNode.show_sync),
     ),
 )
 

@@ -16,18 +16,18 @@ from std_srvs.srv import Trigger
 import construction_twin.srv as srv
 from construction_twin import msg
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, ReviewError
-from construction_twin.core.extensions import extension
+from construction_twin.core.extensions import import_extension
 from construction_twin.core.files import check_writable
-from construction_twin.core.freshness import parse_moment, present
+from construction_twin.core.freshness import parse_moment, present_moment
 from construction_twin.core.reports import SessionRequest, SpeedChange, ToolReport
-from construction_twin.core.sentences import Sentence, both
+from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.core.speed_limit import SpeedLimit
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.execution.approval import AUTO_APPROVE, Approval, ConflictVerdicts, WithoutPerson
+from construction_twin.execution.approval import AUTO_APPROVE, Approval, AutoApproval, ConflictVerdicts
 from construction_twin.execution.engagement import read_engagement
 from construction_twin.execution.executor import Executor
 from construction_twin.execution.segment_run import NO_ARM
-from construction_twin.execution.upkeep import Disk, News, Permission
+from construction_twin.execution.upkeep import DiskWriter, ExecutionNews, Permission
 from construction_twin.monitor.states import SyncState
 from construction_twin.review.plan_under_review import EXECUTOR, REJECTED, Verdict
 from construction_twin.review.record import Responsibility, ReviewLog
@@ -38,7 +38,7 @@ from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.messages.records import from_msg, sentence_of, to_msg
 from construction_twin.ros.messages.tool import engagement_to_msg, order_to_msg, tool_report_from_msg
 from construction_twin.ros.shared import node_shell as shell
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, DeferredLog, Report
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, DeferredLog, Diagnosis
 from construction_twin.ros.shared.params import NodeSettings, robot_file
 from construction_twin.ros.transport.cycle import Cycles
 from construction_twin.ros.transport.joint_stream import from_time, now_ns
@@ -67,7 +67,7 @@ class Settings(NodeSettings, Permission):
     speed_limit_required: bool
 
 
-def _do(_what: str, part: Callable[..., _Result], *arguments: object) -> _Result:
+def _run_unguarded(_what: str, part: Callable[..., _Result], *arguments: object) -> _Result:
     """Call a part whose failure ends the node, as everywhere else."""
     return part(*arguments)
 
@@ -75,8 +75,8 @@ def _do(_what: str, part: Callable[..., _Result], *arguments: object) -> _Result
 class ExecutorNode:
     """ROS around an `Executor`, whose lock it holds for every use. A method for each of 18 topics and services."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
-        self._robot, self._ports, self._diagnostics = robot, ports, ports.diagnostics
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
+        self._robot, self._node_io, self._diagnostics = robot, node_io, node_io.diagnostics
         self._log = ReviewLog(robot_file(settings.review_file, robot.name), time.time_ns)
         file = self._log.file.path
         left = file.with_name(f"{file.stem}_engagement.json")
@@ -89,15 +89,15 @@ class ExecutorNode:
             settings.speed_limit_deadline, settings.speed_limit_silent, settings.speed_limit_required
         )
         self._lock = threading.Lock()
-        self._approval = Approval(executor, self._log.append, self._lock, lambda: present())
+        self._approval = Approval(executor, self._log.append, self._lock, lambda: present_moment())
         self._approval.neighbour = ConflictVerdicts(settings.neighbour)
         self._approval.rehearsal = RehearsalCheck(settings.rehearsal == "require", tool_hash(settings.tool))
-        self._without_person = WithoutPerson(settings.auto_approve, settings.auto_approve_sources)
+        self._auto_approval = AutoApproval(settings.auto_approve, settings.auto_approve_sources)
         self._log_queue = DeferredLog()
         self.side_effects = executor.side_effects
         self._sync_at = 0
-        self._news = News(executor, self._approval, self._limit)
-        self._disk = Disk(executor, left, self._lock, lambda problem: rospy.logerr_throttle(5.0, "%s", problem))
+        self._news = ExecutionNews(executor, self._approval, self._limit)
+        self._disk = DiskWriter(executor, left, self._lock, lambda problem: rospy.logerr_throttle(5.0, "%s", problem))
         rospy.on_shutdown(self.write_records)
         rospy.loginfo("verdicts are recorded in %s (%d so far)", file, self._log.file.lines)
         if executor.engagement.engaged:
@@ -111,7 +111,7 @@ class ExecutorNode:
 
     def run(self) -> None:
         """Publish one setpoint per cycle until shutdown."""
-        publish, executor = self._ports.publishers["next/joint_states"].publish, self.executor
+        publish, executor = self._node_io.publishers["next/joint_states"].publish, self.executor
         for stamp, stalled in Cycles():
             with self._lock:
                 now = time.monotonic_ns()
@@ -119,7 +119,7 @@ class ExecutorNode:
                     executor.on_sync(SyncState.STALE, False)
                 if stalled:
                     executor.stall(Sentence("this process was not run for {seconds:.3f} s", seconds=stalled / 1e9))
-                executor.limit.take(self._limit.update(now), self._limit.reason)
+                executor.limit.set_fraction(self._limit.update(now), self._limit.reason)
                 setpoint = executor.step(stamp, now)
             if setpoint is not None:
                 publish(stamp, setpoint)
@@ -141,7 +141,7 @@ class ExecutorNode:
         with self._lock:
             self._sync_at = time.monotonic_ns()
             self.executor.on_sync(state, message.agreed, message.policy, from_time(message.held_stamp))
-            self.executor.limit.trail(message.round_trip, message.servo_lag)
+            self.executor.limit.on_lag(message.round_trip, message.servo_lag)
 
     def on_limit(self, message: msg.SpeedLimitInForce) -> None:
         """Take the speed limit in force."""
@@ -229,8 +229,8 @@ class ExecutorNode:
             forecast = self.side_effects.run(
                 "the forecast of a stop", lambda: braking.forecast(lambda: time.sleep(PAUSE)).text(self._robot)
             )
-            sentence = both(sentence, forecast or Sentence("how far it goes on is not known"))
-        return self._answered("stop", sentence, rospy.logwarn)
+            sentence = join_sentences(sentence, forecast or Sentence("how far it goes on is not known"))
+        return self._log_answer("stop", sentence, rospy.logwarn)
 
     def on_stop_plan(self, request: srv.StopPlanRequest) -> str:
         """Brake one plan on its path; what waits is left alone."""
@@ -238,17 +238,17 @@ class ExecutorNode:
         with self._lock:
             asked = Sentence("stop requested by {client}", client=caller)
             sentence = self.executor.stop_plan(request.plan_id, asked, self._now())
-        return self._answered("stop_plan", sentence, rospy.logwarn)
+        return self._log_answer("stop_plan", sentence, rospy.logwarn)
 
     def on_pause(self, _request) -> str:
         """Brake on the path and keep the plan."""
         with self._lock:
             sentence = self.executor.pause(self._now())
-        return self._answered("pause", sentence)
+        return self._log_answer("pause", sentence)
 
     def on_resume(self, _request) -> str:
         """Go on after a pause."""
-        return self._answered("resume", self._approval.resume())
+        return self._log_answer("resume", self._approval.resume())
 
     def on_act_as_seen(self, request: srv.ActAsSeenRequest) -> str:
         """Stop or pause; or go on, unless what the person's screen had shown is too old, or older than a pause or stop."""
@@ -257,22 +257,22 @@ class ExecutorNode:
         if request.act == "pause":
             return self.on_pause(request)
         if request.act == "resume":
-            return self._answered("resume", self._approval.resume(parse_moment(request.moment)))
+            return self._log_answer("resume", self._approval.resume(parse_moment(request.moment)))
         raise PayloadError("act", f"{request.act!r} is nothing that is done here")
 
     def on_release(self, request: srv.ReleaseEngagementRequest) -> str:
         """Take a person's word that the arm was freed."""
         sentence = self._approval.release(request.person.strip(), request.reason.strip())
-        return self._answered("release_engagement", sentence, rospy.logwarn)
+        return self._log_answer("release_engagement", sentence, rospy.logwarn)
 
-    def _answered(self, request: str, sentence: str, write: Callable[..., None] | None = None) -> str:
-        """Have what was carried out written to the log, after the answer."""
+    def _log_answer(self, request: str, sentence: str, write: Callable[..., None] | None = None) -> str:
+        """Log what was carried out, after the answer."""
         self.side_effects.run("the log", self._log_queue.add, write or rospy.loginfo, "%s: %s", request, sentence)
         return sentence
 
     def _now(self) -> int:
         # where the clock cannot be read, whatever comes was asked for before, and no screen can show a later moment
-        now = self.side_effects.run("the moment of an act", present)
+        now = self.side_effects.run("the moment of an act", present_moment)
         return sys.maxsize if now is None else now.at
 
     # -- in the background
@@ -281,14 +281,14 @@ class ExecutorNode:
         """Do what may wait, every `BACKGROUND_PERIOD`; an error of a record is said and tried again."""
         self.write_records()
         # where a stop leaves the arm is written down here
-        self.side_effects.run("the engagement", self.keep_engagement)
+        self.side_effects.run("the engagement", self.save_engagement)
         with self._lock:
-            self.executor.under_review.scene_alive = self._ports.connections("scene") > 0
-        self._approval.look_for_obstacle()
-        self._disk.write("an approval", self._approve_by_itself)
+            self.executor.under_review.scene_alive = self._node_io.connections("scene") > 0
+        self._approval.update_obstacle()
+        self._disk.write("an approval", self._approve_automatically)
 
-    def _approve_by_itself(self) -> None:
-        verdict = self._approval.approve_by_itself(time.monotonic_ns(), self._without_person)
+    def _approve_automatically(self) -> None:
+        verdict = self._approval.approve_automatically(time.monotonic_ns(), self._auto_approval)
         if verdict is not None:
             self._publish_verdict(verdict)
 
@@ -299,16 +299,16 @@ class ExecutorNode:
         self.side_effects.write(rospy.logerr)
         self.side_effects.run("the record", self._disk.write, "the record", self._log.flush)
 
-    def keep_engagement(self) -> None:
-        """Write down where the arm is about to be, or was left, and tell the planner; not for the path of the setpoints."""
-        if (engagement := self._disk.settle()) is not None:
+    def save_engagement(self) -> None:
+        """Save where the arm is about to be, or was left, and publish it; not for the path of the setpoints."""
+        if (engagement := self._disk.save_engagement()) is not None:
             self._publish("engagement", engagement_to_msg(*engagement))
 
     # -- reports
 
     def _publish(self, topic: str, message: genpy.Message) -> None:
         message.header.stamp = rospy.Time.now()
-        self._ports.publishers[topic].publish(message)
+        self._node_io.publishers[topic].publish(message)
 
     def _publish_verdict(self, verdict: Verdict) -> None:
         reason = f": {verdict.reason}" if verdict.reason else ""
@@ -327,14 +327,14 @@ class ExecutorNode:
         """
         executor = self.executor
         with self._lock:
-            run = self.side_effects.run if executor.take_act() else _do
-            events, orders = executor.take_events(), executor.take_orders()
-            news = run("the executor's state", self._news.take, lambda: (now_ns(), str(present())))
+            run = self.side_effects.run if executor.pop_act_flag() else _run_unguarded
+            events, orders = executor.pop_events(), executor.pop_orders()
+            news = run("the executor's state", self._news.pop_report, lambda: (now_ns(), str(present_moment())))
             report, lines = news or (None, ())
         for order in orders:
             self._publish("tool_command", order_to_msg(order))
         if report is not None:
-            publish = self._ports.publishers["execution"].publish
+            publish = self._node_io.publishers["execution"].publish
             run("the topic execution", lambda: publish(to_msg(report, msg.Execution)))
         for event in events:
             if not (isinstance(event, Verdict) and event.verdict == REJECTED):
@@ -345,7 +345,7 @@ class ExecutorNode:
         for warns, line in lines:
             run("the log", self._log_queue.add, rospy.logwarn if warns else rospy.loginfo, "%s", line)
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         executor, log = self.executor, self._log.file
         values = {
@@ -355,27 +355,27 @@ class ExecutorNode:
             "speed limit because": self._limit.reason,
             "records": log.lines,
             "records lost": log.lost,
-        } | self.side_effects.report()
-        if problem := self._disk.problem:
-            return Report(ERROR, problem, values)
+        } | self.side_effects.status_fields()
+        if problem := self._disk.fault:
+            return Diagnosis(ERROR, problem, values)
         with self._lock:
             engaged = executor.engagement.sentence
         if failed := engaged or self.side_effects.sentence:
-            return Report(WARN, failed, values)
-        return Report(WARN if self._news.waits else OK, f"{executor.state.name}: {executor.reason}", values)
+            return Diagnosis(WARN, failed, values)
+        return Diagnosis(WARN if self._news.waits else OK, f"{executor.state.name}: {executor.reason}", values)
 
 
 def check(settings: Settings, robot: RobotModel, *_: object) -> None:
     """Check permission and files; see `NodeShell`."""
     settings.check(robot)
     if settings.rehearsal == "require":
-        extension("physics")
+        import_extension("physics")
     tool_hash(settings.tool)
     check_writable(robot_file(settings.review_file, robot.name).parent)
 
 
 INTERFACE = shell.Interface(
-    report=ExecutorNode.report,
+    diagnose=ExecutorNode.diagnose,
     publishes=(
         shell.PosePublication("next/joint_states"),
         shell.Publication("execution", msg.Execution, queue_size=10, latch=True),
@@ -384,7 +384,7 @@ INTERFACE = shell.Interface(
         shell.Publication("tool_command", msg.ToolCommand, queue_size=50, tcp_nodelay=True),
         shell.Publication("engagement", msg.Engagement, queue_size=5, latch=True),
     ),
-    hears=(
+    subscribes=(
         shell.PoseSubscription("twin/joint_states", ExecutorNode.on_twin, queue_size=1, pause=TWIN_PAUSE),
         shell.Subscription("sync", msg.Sync, ExecutorNode.on_sync, queue_size=50, tcp_nodelay=True),
         shell.Subscription("scene", msg.Scene, ExecutorNode.on_scene, queue_size=5),
@@ -419,7 +419,7 @@ INTERFACE = shell.Interface(
         shell.Served("resume", Trigger, ExecutorNode.on_resume, "resume"),
         shell.Served("~act_as_seen", srv.ActAsSeen, ExecutorNode.on_act_as_seen, lambda asked: asked.act),
     ),
-    every=(shell.Every(lambda _settings: BACKGROUND_PERIOD, ExecutorNode.do_background_work),),
+    timers=(shell.NodeTimer(lambda _settings: BACKGROUND_PERIOD, ExecutorNode.do_background_work),),
 )  # fmt: skip
 NODE = shell.NodeShell("executor", Settings, ExecutorNode, INTERFACE, check, fast=True)
 main = NODE.run

@@ -21,7 +21,7 @@ from construction_twin.mock.network import MockRsi
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, gateway_address, joint_angles
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared import node_shell as shell
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Diagnosis
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.srv import InjectFault, InjectFaultRequest
@@ -33,18 +33,18 @@ _STATUS_PERIOD = 0.5
 class MockRsiNode:
     """ROS around a MockRsi. Its loop runs in the main thread and hands what is to be published to another one."""
 
-    def __init__(self, settings: MockSettings, robot: RobotModel, ports: shell.Ports):
+    def __init__(self, settings: MockSettings, robot: RobotModel, node_io: shell.NodeIO):
         self._settings, self._robot = settings, robot
         self._controller, after = build_controller(settings, robot), settings.restart_after
-        told = self._observe, rospy.loginfo
-        self._mock = MockRsi(self._controller, gateway_address(settings), after, *told, settings.fault_seed)
+        callbacks = self._observe, rospy.loginfo
+        self._mock = MockRsi(self._controller, gateway_address(settings), after, *callbacks, settings.fault_seed)
         #: For the publishing thread: ROS time [ns], the true axis angles [rad], [m], and the status where it is due.
         self._outbox: SimpleQueue[tuple[int, tuple[float, ...], dict | None] | None] = SimpleQueue()
         self._cycle = 0
         self._status_cycles = round(_STATUS_PERIOD / self._controller.config.period)
         self._reported: tuple[int, bool, int, bool, bool] | None = None
         self._missed = 0
-        self._joints, self._status = ports.publishers["~joint_states"], ports.publishers["~status"]
+        self._joints, self._status = node_io.publishers["~joint_states"], node_io.publishers["~status"]
 
     def run(self) -> None:
         """Run the controller until shutdown."""
@@ -73,11 +73,11 @@ class MockRsiNode:
         due = self._cycle % self._status_cycles == 0 or state != self._reported
         self._cycle += 1
         self._reported = state
-        if not due and not self._joints.is_heard:
+        if not due and not self._joints.has_subscribers:
             return
         # a node that reacts to the packet may be quicker than this thread
-        stamp = now_ns() - (time.monotonic_ns() - mock.left)
-        self._outbox.put((stamp, self._controller.true, self._snapshot(stamp) if due else None))
+        stamp = now_ns() - (time.monotonic_ns() - mock.sent_at)
+        self._outbox.put((stamp, self._controller.true_position, self._snapshot(stamp) if due else None))
 
     def _snapshot(self, stamp: int) -> dict:
         controller, linear = self._controller, self._robot.linear
@@ -89,7 +89,7 @@ class MockRsiNode:
             "session": controller.session,
             "ipoc": controller.stamp,
             "delay": controller.missed,
-            "controller": controller.status.report(),
+            "controller": controller.status.status_fields(),
             "start_pose_deg": to_wire(controller.start_pose, linear),
             "applied_deg": to_wire(controller.applied, linear),
             "correction_lower_deg": to_wire(controller.correction_lower, linear),
@@ -123,17 +123,17 @@ class MockRsiNode:
             if status is not None:
                 self._status.publish(json.dumps(status))
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         controller = self._controller
         protocol = controller.words.protocol
         values = self._mock.counters | {"last_refusal": controller.refusals.last}
         if not controller.running:
-            return Report(ERROR, f"{protocol} stopped: {controller.reason}", values)
+            return Diagnosis(ERROR, f"{protocol} stopped: {controller.reason}", values)
         running, refused = f"{protocol} session {controller.session} running", controller.refusals.present
         if refused:
-            return Report(WARN, f"{running}, replies are refused: {refused}", values)
-        return Report(OK, running, values)
+            return Diagnosis(WARN, f"{running}, replies are refused: {refused}", values)
+        return Diagnosis(OK, running, values)
 
     def on_inject(self, request: InjectFaultRequest) -> Outcome:
         """Switch a fault on or off."""
@@ -172,7 +172,7 @@ class MockRsiNode:
 
 
 INTERFACE = shell.Interface(
-    report=MockRsiNode.report,
+    diagnose=MockRsiNode.diagnose,
     publishes=(shell.PosePublication("~joint_states"), shell.Publication("~status", String, queue_size=5, latch=True)),
     serves=(shell.Served("~inject", InjectFault, MockRsiNode.on_inject, refused=MockRsiNode.active_faults),),
 )

@@ -14,13 +14,13 @@ from std_srvs.srv import SetBool, Trigger
 
 from construction_twin.broker.start import ACCOUNTS
 from construction_twin.core.errors import ConfigurationError, PayloadError
-from construction_twin.core.freshness import present
-from construction_twin.core.records import SPACED, dumped
+from construction_twin.core.freshness import present_moment
+from construction_twin.core.records import SPACED, to_json
 from construction_twin.core.reports import SessionRequest
-from construction_twin.core.sentences import Sentence, both
+from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.link.bridge import PLC_HALTED, Asked, Bridge, JointStrings
+from construction_twin.link.bridge import PLC_HALTED, Bridge, JointStrings, PendingRequest
 from construction_twin.link.gateway_status import parse_answer, parse_status
 from construction_twin.link.observations import LinkState
 from construction_twin.mqtt.client import Broker, make_client, unique_id
@@ -33,11 +33,11 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.tool import tool_report_to_msg
 from construction_twin.ros.shared import node_shell as shell
-from construction_twin.ros.shared.diagnostics import OK, WARN, DeferredLog, Report
+from construction_twin.ros.shared.diagnostics import OK, WARN, DeferredLog, Diagnosis
 from construction_twin.ros.shared.gateway_config import config_of_link
-from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, report_of
+from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, connection_log
 from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.stop_memory import StopMemory
+from construction_twin.ros.shared.saved_parameter import SavedParameter
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.srv import ActAsSeen, TakeResponsibility
 
@@ -71,22 +71,23 @@ class MqttBridge:
         codec: JointStringCodec,
         broker: Broker,
         client: FastClient,
-        ports: shell.Ports,
+        node_io: shell.NodeIO,
     ):
         bare, new_id = settings.gateway_kind == PLC, lambda: uuid.uuid4().hex
         self._strings = JointStrings(codec, config.properties, bare, settings.max_state_age)
         # not private parameters: those hold settings, and these came about while a bridge ran
-        mirrors, waits = ports.parameters[MIRROR_MODE] is True, str(ports.parameters[WAITS])
-        self._kept = [
-            StopMemory(said, ports.keeper(name), name) for said, name in ((mirrors, MIRROR_MODE), (waits, WAITS))
+        mirrors, waits = node_io.parameters[MIRROR_MODE] is True, str(node_io.parameters[WAITS])
+        self._saved_parameters = [
+            SavedParameter(value, node_io.parameter_writer(name), name)
+            for value, name in ((mirrors, MIRROR_MODE), (waits, WAITS))
         ]
         self._bridge = Bridge(config, bare, settings.reset_timeout, self._strings, new_id, mirrors, waits)
         self._supervisor = self._bridge.supervisor
         self._lock = threading.Lock()
         # orders what is published on `tool`: it comes from several threads
         self._tool_lock = threading.Lock()
-        self._topics, self._broker, self._client, self._connection = topics, broker, client, report_of(broker)
-        self._publishers, self._diagnostics = ports.publishers, ports.diagnostics
+        self._topics, self._broker, self._client, self._connection = topics, broker, client, connection_log(broker)
+        self._publishers, self._diagnostics = node_io.publishers, node_io.diagnostics
         self._physical, self._feedback = (self._publishers[f"physical/{name}"] for name in ("joint_states", "feedback"))
         self._side_effects, self._log = SideEffects(), DeferredLog()
 
@@ -112,7 +113,7 @@ class MqttBridge:
         while not rospy.is_shutdown():
             self.poll()
             time.sleep(POLL)
-        ended = dumped(BridgeStatus("offline", "bridge stopped"), marks=SPACED)
+        ended = to_json(BridgeStatus("offline", "bridge stopped"), separators=SPACED)
         self._client.publish(self._topics.bridge_status, ended, 1, True)
         self._client.disconnect()
         self._client.loop_stop()
@@ -126,12 +127,12 @@ class MqttBridge:
         """Update the link, and publish what follows from it."""
         now = time.monotonic_ns()
         with self._lock:
-            control = self._bridge.poll(now, present())
-            kept = self._supervisor.mirrors, self._bridge.waits
+            control = self._bridge.poll(now, present_moment())
+            values = self._supervisor.mirrors, self._bridge.waits_for
         if control is not None:
             self._send(control)
-        for memory, value in zip(self._kept, kept):
-            memory.keep(value, now)
+        for parameter, value in zip(self._saved_parameters, values):
+            parameter.save(value, now)
         self._publish_link(now)
         self._publish_tool()
 
@@ -143,9 +144,9 @@ class MqttBridge:
             self._side_effects.run("the log", self._log.add, rospy.loginfo, *line)
         return True
 
-    def _decide(self, decide: Callable[..., Control | None], *given: object) -> None:
+    def _decide(self, decide: Callable[..., Control | None], *arguments: object) -> None:
         with self._lock:
-            control = decide(*given)
+            control = decide(*arguments)
         if control is not None:
             self._send(control)
 
@@ -161,11 +162,11 @@ class MqttBridge:
         if not session:
             return
         try:
-            payload, beside = self._strings.command(q, session, stamp)
+            payload, properties = self._strings.encode_command(q, session, stamp)
         except PayloadError as error:
             self._refuse(error)
             return
-        self._client.send_stream(self._topics.command, payload, beside)
+        self._client.send_stream(self._topics.command, payload, properties)
 
     def on_speed_limit(self, message: SpeedLimitInForce) -> None:
         """Pass the speed limit in force on."""
@@ -208,7 +209,7 @@ class MqttBridge:
         """Take the arm's pose, as a joint string with its user properties."""
         received, now = now_ns(), time.monotonic_ns()
         try:
-            q, beside = self._strings.state(payload, pairs, retained, now)
+            q, properties = self._strings.decode_state(payload, pairs, retained, now)
         except PayloadError as error:
             self._diagnostics.refuse(f"state_{error.reason}", str(error))
             with self._lock:
@@ -217,22 +218,24 @@ class MqttBridge:
         with self._lock:
             self._supervisor.inputs.on_pose(q, now)
         # the gate's first: each program that looks on at the other takes its time from what comes after
-        self._feedback.publish(received, q, beside.seq, beside.command_stamp)
+        self._feedback.publish(received, q, properties.seq, properties.command_stamp)
         self._physical.publish(received, q)
 
     def on_status(self, payload: bytes) -> None:
         """Take the gateway's status, or a bare PLC's word; one that cannot be read is refused as a whole."""
-        self._take(parse_status, payload, self._bridge.on_status)
+        self._handle_document(parse_status, payload, self._bridge.on_status)
 
     def on_answer(self, payload: bytes) -> None:
         """Take the gateway's answer to a control message."""
-        self._take(parse_answer, payload, self._bridge.on_answer)
+        self._handle_document(parse_answer, payload, self._bridge.on_answer)
 
-    def _take(self, read: Callable[[bytes], _Read], payload: bytes, take: Callable[[_Read, int], None]) -> None:
+    def _handle_document(
+        self, read: Callable[[bytes], _Read], payload: bytes, handle: Callable[[_Read, int], None]
+    ) -> None:
         try:
             document = read(payload)
             with self._lock:
-                take(document, time.monotonic_ns())
+                handle(document, time.monotonic_ns())
         except PayloadError as error:
             self._refuse(error)
             return
@@ -243,13 +246,13 @@ class MqttBridge:
     def ask(self, verb: str, person: str = "", moment: str | None = None) -> Outcome:
         """Ask for a session as `Bridge.ask` does, and wait for its end."""
         with self._lock:
-            asked = self._bridge.ask(verb, person, moment, time.monotonic_ns(), present())
+            asked = self._bridge.ask(verb, person, moment, time.monotonic_ns(), present_moment())
         request = SessionRequest(verb, person, asked.lifts, rospy.Time.now().to_nsec())
         self._publishers["session_request"].publish(to_msg(request, SessionRequestMessage))
         self._log.add(rospy.loginfo, "%s asked for by %s: %s", verb, person or "a service", asked.lifts)
         return Outcome(*self._wait(asked))
 
-    def _wait(self, asked: Asked) -> tuple[bool, str]:
+    def _wait(self, asked: PendingRequest) -> tuple[bool, str]:
         while True:
             ending = rospy.is_shutdown()
             with self._lock:
@@ -283,7 +286,7 @@ class MqttBridge:
         with self._lock:
             sentence, asked = self._bridge.mirror(request.data, time.monotonic_ns())
         armed, why = self._wait(asked) if asked is not None else (True, "")
-        return sentence if armed else both(sentence, why)
+        return sentence if armed else join_sentences(sentence, why)
 
     # -- reports
 
@@ -293,7 +296,7 @@ class MqttBridge:
             is_due, has_changed = self._bridge.news(now, connection)
             if not is_due:
                 return
-            report = self._bridge.report(connection, refused, rospy.Time.now().to_nsec())
+            report = self._bridge.state_report(connection, refused, rospy.Time.now().to_nsec())
             status = self._bridge.status()
         self._publishers["link"].publish(to_msg(report, Link))
         if has_changed:
@@ -307,33 +310,33 @@ class MqttBridge:
             if report is not None:
                 self._publishers["tool"].publish(tool_report_to_msg(report, rospy.Time.now()))
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         with self._lock:
             state = self._supervisor.state
             sentence = f"{state.name}: {self._bridge.reason(self._connection.sentence)}"
-            values = self._bridge.values() | self._side_effects.report()
-        problems = [memory.problem for memory in self._kept]
+            values = self._bridge.values() | self._side_effects.status_fields()
+        problems = [parameter.fault for parameter in self._saved_parameters]
         if problem := next(filter(None, [*problems, self._side_effects.sentence]), ""):
-            return Report(WARN, f"{sentence}; {problem}", values)
-        return Report(OK if state in (LinkState.ARMED, LinkState.MIRROR) else WARN, sentence, values)
+            return Diagnosis(WARN, f"{sentence}; {problem}", values)
+        return Diagnosis(OK if state in (LinkState.ARMED, LinkState.MIRROR) else WARN, sentence, values)
 
 
-def start(settings: Settings, robot: RobotModel, ports: shell.Ports) -> MqttBridge:
+def start(settings: Settings, robot: RobotModel, node_io: shell.NodeIO) -> MqttBridge:
     """Return the bridge, connecting to the broker."""
-    config = config_of_link(robot, ports.parameters["gateway"], settings.gateway_kind != PLC)
+    config = config_of_link(robot, node_io.parameters["gateway"], settings.gateway_kind != PLC)
     broker, topics = broker_of(settings), Topics(settings.prefix, robot.name)
     client = make_client(broker, unique_id(robot.name, "bridge"), topics.bridge_status, direct=True)
-    bridge = MqttBridge(settings, topics, config, JointStringCodec.of(robot, config.decimals), broker, client, ports)
+    bridge = MqttBridge(settings, topics, config, JointStringCodec.of(robot, config.decimals), broker, client, node_io)
     bridge.connect()
     return bridge
 
 
 INTERFACE = shell.Interface(
-    report=MqttBridge.report,
+    diagnose=MqttBridge.diagnose,
     parameters=(
-        shell.SharedParameter(MIRROR_MODE, False, kept=True),
-        shell.SharedParameter(WAITS, "", kept=True),
+        shell.SharedParameter(MIRROR_MODE, False, written=True),
+        shell.SharedParameter(WAITS, "", written=True),
         shell.SharedParameter("gateway"),
     ),
     publishes=(
@@ -343,7 +346,7 @@ INTERFACE = shell.Interface(
         shell.Publication("tool", ToolState, queue_size=50, latch=True),
         shell.Publication("session_request", SessionRequestMessage, queue_size=10),
     ),
-    hears=(
+    subscribes=(
         shell.PoseSubscription("command/joint_states", MqttBridge.on_command),
         shell.Subscription("speed_limit_in_force", SpeedLimitInForce, MqttBridge.on_speed_limit, queue_size=5),
         shell.Subscription("tool_command", ToolCommand, MqttBridge.on_tool_command, queue_size=50, tcp_nodelay=True),
@@ -358,7 +361,7 @@ INTERFACE = shell.Interface(
         shell.Served("halt", Trigger, MqttBridge.on_halt),
         shell.Served("mirror", SetBool, MqttBridge.on_mirror),
     ),
-    every=(shell.Every(lambda _settings: LOG_PERIOD, MqttBridge.write_log),),
+    timers=(shell.NodeTimer(lambda _settings: LOG_PERIOD, MqttBridge.write_log),),
 )
 
 

@@ -27,8 +27,8 @@ from construction_twin.ros.shared.arm_listener import (
     listen_to_other_arm,
     plan_rows,
 )
-from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.transport.publisher import Sink
+from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
+from construction_twin.ros.transport.publisher import AnyPublisher
 from construction_twin.scene.collision_world import CollisionWorld, Contact
 from construction_twin.scene.neighbour import Obstacle, key_rows
 from construction_twin.scene.objects import Scene
@@ -46,13 +46,13 @@ def first_meeting(
     Poses are checked between which no point moves further than the padding, and half of that is kept besides a quarter: a plan
     made with the whole padding is free. `world`: of our arm with all that it will carry.
     """
-    beside = world.with_neighbour((item.padded(0.75 * padding) for item in obstacles), alone=True)
+    combined = world.with_neighbour((item.padded(0.75 * padding) for item in obstacles), alone=True)
     times, qs = plan_rows(plan)
-    rows = key_rows(np.append(0.0, np.cumsum(np.abs(np.diff(qs, axis=0)) @ beside.levers)), padding)
-    index = beside.all_free(qs[rows])
+    rows = key_rows(np.append(0.0, np.cumsum(np.abs(np.diff(qs, axis=0)) @ combined.levers)), padding)
+    index = combined.all_free(qs[rows])
     if index is None:
         return None
-    contact = beside.contact(qs[rows[index]])
+    contact = combined.contact(qs[rows[index]])
     assert contact is not None, "all_free and contact disagree"
     return float(times[rows[index]]), contact
 
@@ -60,16 +60,18 @@ def first_meeting(
 class NeighbourNode:
     """Two arms' topics in, verdicts on a plan of ours out."""
 
-    def __init__(self, own: ArmListener, other: OtherArm, world: CollisionWorld, padding: float, conflict: Sink):
+    def __init__(
+        self, own: ArmListener, other: OtherArm, world: CollisionWorld, padding: float, conflict: AnyPublisher
+    ):
         self._own = own
         self._other = other
         self._world = world
         self._padding = padding
         self._publisher = conflict
-        self._state = Report(WARN, "no plan yet")
+        self._state = Diagnosis(WARN, "no plan yet")
         self._checked: tuple[Plan, Scene, tuple[Obstacle, ...]] | None = None
         self._met: tuple[float, Contact] | None = None
-        self._said: tuple[str, str] | None = None
+        self._logged: tuple[str, str] | None = None
 
     def run(self) -> None:
         """Check again and again, in the main thread: an unexpected exception ends the process, which is then started anew."""
@@ -85,26 +87,26 @@ class NeighbourNode:
             plan = self._own.newest if own is None else self._own.plan(own.plan_id)
         except NeighbourUnknownError as error:
             # whether it is played is not known: without a word nothing starts, and nothing stops
-            self._state = Report(WARN, str(error))
+            self._state = Diagnosis(WARN, str(error))
             return
         if plan is None:
             return
         try:
-            problem = self._problem(plan, own)
+            problem = self._obstacle(plan, own)
         except ConstructionTwinError as error:
             problem = str(error)
         self._publish(plan, problem)
         sentence = problem or "its path is free"
-        self._state = Report(WARN if problem else OK, sentence)
-        if self._said != (plan.id, problem):
-            self._said = plan.id, problem
+        self._state = Diagnosis(WARN if problem else OK, sentence)
+        if self._logged != (plan.id, problem):
+            self._logged = plan.id, problem
             (rospy.logwarn if problem else rospy.loginfo)("plan %s: %s", plan.id, sentence)
 
     def _publish(self, plan: Plan, problem: str) -> None:
         message = ConflictMsg(plan_id=plan.id, conflict=bool(problem), reason=problem)
         self._publisher.publish(with_sentences(message, problem))
 
-    def _problem(self, plan: Plan, own: Claim | None) -> str:
+    def _obstacle(self, plan: Plan, own: Claim | None) -> str:
         """Return why a plan must not start, or go on: it meets the other arm's earlier plan, or that arm where it stands; or ""."""
         scene, plays = self._own.scene, own is not None and own.plan_id == plan.id
         try:
@@ -117,18 +119,18 @@ class NeighbourNode:
             return ""
         if scene is None:
             return "" if plays else Sentence("our own scene, with what the arm carries, was not received")
-        seen = plan, scene, occupied.obstacles
-        if self._checked is None or any(one is not other for one, other in zip(seen, self._checked)):
+        inputs = plan, scene, occupied.obstacles
+        if self._checked is None or any(one is not other for one, other in zip(inputs, self._checked)):
             if occupied.claim is not None and not plays:
                 # this takes about a second, in which no earlier word may start it
                 self._publish(
                     plan, Sentence("its path is being compared with a plan of the other arm; approve it after that")
                 )
             world = self._world.with_scene(self._own.carrying(plan, scene))
-            self._met, self._checked = first_meeting(world, plan, occupied.obstacles, self._padding), seen
+            self._met, self._checked = first_meeting(world, plan, occupied.obstacles, self._padding), inputs
             if self._other.claim() != occupied.claim:
                 # one of its plans was approved, or ended, during the comparison
-                return self._problem(plan, self._own.claim())
+                return self._obstacle(plan, self._own.claim())
         if self._met is None:
             return ""
         seconds, contact = self._met
@@ -141,23 +143,23 @@ class NeighbourNode:
             contact=too_close,
         )
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         return self._state
 
 
-def start(settings: NeighbourSettings, robot: RobotModel, ports: shell.Ports) -> NeighbourNode:
+def start(settings: NeighbourSettings, robot: RobotModel, node_io: shell.NodeIO) -> NeighbourNode:
     """Return the watch with its parameters and topics."""
-    refuse = ports.diagnostics.refuse
+    refuse = node_io.diagnostics.refuse
     await_robot(settings.name)
     other = listen_to_other_arm(robot.name, settings, refuse)
     own = ArmListener(robot, rosgraph.names.namespace(rospy.get_namespace()), refuse)
     world = CollisionWorld(robot, Scene(()), SelfCollision({}, ""))
-    return NeighbourNode(own, other, world, settings.padding, ports.publishers["conflict"])
+    return NeighbourNode(own, other, world, settings.padding, node_io.publishers["conflict"])
 
 
 INTERFACE = shell.Interface(
-    report=NeighbourNode.report,
+    diagnose=NeighbourNode.diagnose,
     publishes=(shell.Publication("conflict", ConflictMsg, queue_size=10),),
     listeners=(*ARM_TOPICS, *ARM_POSES),
 )

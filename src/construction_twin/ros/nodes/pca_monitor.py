@@ -15,7 +15,7 @@ import rospy
 from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError, ExpiredError, PayloadError
 from construction_twin.core.files import check_writable
-from construction_twin.core.freshness import TOO_OLD, present
+from construction_twin.core.freshness import TOO_OLD, present_moment
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.reports import HoldReport, SpeedChange
 from construction_twin.core.sentences import Sentence
@@ -30,10 +30,10 @@ from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.shared import node_shell as shell
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, DeferredLog, Report
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, DeferredLog, Diagnosis
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import NodeSettings, robot_file, ros_home, settings_of
-from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
+from construction_twin.ros.shared.saved_parameter import PARAMETER, SavedParameter
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.servo.model import read_servos
@@ -65,13 +65,13 @@ class Settings(NodeSettings, GateSettings):
 
     @pydantic.model_validator(mode="before")
     @classmethod
-    def _says_how_strict_it_is(cls, given: dict) -> dict:
+    def _require_every_setting(cls, given: dict) -> dict:
         for name in GateSettings.model_fields.keys() - {"thresholds"} - given.keys():
             raise ConfigurationError(name, None, "this key")
         return given
 
 
-class Rules(pydantic.BaseModel):
+class SilenceRules(pydantic.BaseModel):
     """What executor or gateway is told of a source that falls silent, among their other parameters; see config/executor.yaml."""
 
     speed_limit_deadline: float = pydantic.Field(GatewayConfig.speed_limit_deadline, gt=0)
@@ -85,24 +85,26 @@ class SpeedLimitService:
     Beside the gate, in threads of its own. A raise of people is on the disk, in `path`, before it acts; a lower limit acts at once.
     """
 
-    def __init__(self, path: Path | None, ports: shell.Ports):
+    def __init__(self, path: Path | None, node_io: shell.NodeIO):
         # the stricter of what executor and gateway are told holds here; without an arm there is no gateway
-        told = {name: ports.parameters[name] for name in ("executor", "gateway") if ports.parameters[name] is not None}
-        rules = [settings_of(Rules, given, rospy.resolve_name(name)) for name, given in told.items()]
+        rule_parameters = {
+            name: node_io.parameters[name] for name in ("executor", "gateway") if node_io.parameters[name] is not None
+        }
+        rules = [settings_of(SilenceRules, given, rospy.resolve_name(name)) for name, given in rule_parameters.items()]
         deadline = min(each.speed_limit_deadline for each in rules)
         silent = min(each.speed_limit_silent for each in rules)
         program = SpeedLimit(deadline, silent, rules[0].speed_limit_required)
-        fraction, _, name = ports.parameters[PROGRAM].partition(" ")
+        fraction, _, name = node_io.parameters[PROGRAM].partition(" ")
         if name:
             # a process before this one has heard it: it is silent until it is heard again
-            program.hear(float(fraction), name, time.monotonic_ns() - round(2e9 * deadline) - 1)
-        self._memory = StopMemory(ports.parameters[PROGRAM], ports.keeper(PROGRAM), PROGRAM)
+            program.record(float(fraction), name, time.monotonic_ns() - round(2e9 * deadline) - 1)
+        self._saved_program = SavedParameter(node_io.parameters[PROGRAM], node_io.parameter_writer(PROGRAM), PROGRAM)
         people, problem = read_people(path) if path else (NOBODY, "")
-        self._limits = SpeedLimits(program, people, present(), problem)
+        self._limits = SpeedLimits(program, people, present_moment(), problem)
         # what the file holds, and a lock that is held while the disk is waited for
-        self._path, self._kept, self._file_problem, self._file_lock = path, people, "", threading.Lock()
-        self._in_force, self._changes = (ports.publishers[name] for name in ("speed_limit_in_force", "speed_change"))
-        self._refuse = ports.diagnostics.refuse
+        self._path, self._saved_people, self._file_problem, self._file_lock = path, people, "", threading.Lock()
+        self._in_force, self._changes = (node_io.publishers[name] for name in ("speed_limit_in_force", "speed_change"))
+        self._refuse = node_io.diagnostics.refuse
         # also orders what is published: the last message is what was decided last
         self._lock = threading.Lock()
 
@@ -121,11 +123,11 @@ class SpeedLimitService:
         try:
             if request.limit > limits.people.limit:
                 with self._file_lock:
-                    self._write(limits.asked(*given, present(), now_ns()))
+                    self._write(limits.requested_change(*given, present_moment(), now_ns()))
                     if self._file_problem:
                         raise PayloadError("file", f"the speed limit of people is not raised: {self._file_problem}")
             with self._lock:
-                before, sentence = limits.people, limits.set(*given, present(), now_ns())
+                before, sentence = limits.people, limits.set(*given, present_moment(), now_ns())
                 self._publish()
                 if limits.people is not before:
                     self._changes.publish(to_msg(limits.people, msg.SpeedChange))
@@ -141,12 +143,12 @@ class SpeedLimitService:
         """Write what people have set, where the file does not hold it; for a thread that may wait for a disk."""
         with self._file_lock:
             # an unreadable file stays as it is until a person has set a limit
-            if self._limits.people != self._kept:
+            if self._limits.people != self._saved_people:
                 self._write(self._limits.people)
 
     def _write(self, people: SpeedChange) -> None:
         self._file_problem = write_people(self._path, people) if self._path else ""
-        self._kept = UNKNOWN if self._file_problem else people
+        self._saved_people = UNKNOWN if self._file_problem else people
 
     def repeat(self) -> None:
         """Publish what is in force again, and notice a program's silence; to be called every `LIMIT_PERIOD`."""
@@ -154,52 +156,52 @@ class SpeedLimitService:
         with self._lock:
             self._publish()
             # it changes seldom, however often the limit does
-            memory = f"{int(100 * program.fraction_when_silent) / 100:g} {program.name}" if program.name else ""
-        self._memory.keep(memory, time.monotonic_ns())
+            program_text = f"{int(100 * program.fraction_when_silent) / 100:g} {program.name}" if program.name else ""
+        self._saved_program.save(program_text, time.monotonic_ns())
 
     def _publish(self) -> None:
-        if report := self._limits.report(time.monotonic_ns()):
+        if report := self._limits.state_report(time.monotonic_ns()):
             self._in_force.publish(to_msg(replace(report, stamp=now_ns()), msg.SpeedLimitInForce))
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         program = self._limits.program
         with self._lock:
-            said = self._limits.report(time.monotonic_ns())
+            said = self._limits.state_report(time.monotonic_ns())
         limit, reason = (said.limit, said.reason) if said else (1.0, program.reason)
         values = {"speed limit": f"{limit:.3f}", "speed limit because": reason}
         slow = program.state in (LimitState.SILENT, LimitState.MISSING)
-        problem = self._file_problem or self._memory.problem
-        level = ERROR if problem or self._limits.problem else WARN if slow else OK
-        return Report(level, problem or f"speed limit {limit:g}: {reason}", values)
+        problem = self._file_problem or self._saved_program.fault
+        level = ERROR if problem or self._limits.fault else WARN if slow else OK
+        return Diagnosis(level, problem or f"speed limit {limit:g}: {reason}", values)
 
 
 class PcaMonitorNode:
     """ROS around a Monitor, and beside it the speed limit, which the gate knows nothing of."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
         # without an arm there is no broker, and nobody could raise what was set before
         has = shell.has_arm(settings)
-        kept = ros_home() / "construction_twin" / "speed_limits" / f"{robot.name}.json" if has else None
-        stopped_in, now = ports.parameters[PARAMETER] if has else "", time.monotonic_ns()
-        self._names, self._publishers, self._diagnostics = robot.joint_names, ports.publishers, ports.diagnostics
-        self._command = ports.publishers["command/joint_states"]
+        limits_file = ros_home() / "construction_twin" / "speed_limits" / f"{robot.name}.json" if has else None
+        stopped_in, now = node_io.parameters[PARAMETER] if has else "", time.monotonic_ns()
+        self._names, self._publishers, self._diagnostics = robot.joint_names, node_io.publishers, node_io.diagnostics
+        self._command = node_io.publishers["command/joint_states"]
         # without a model of the arm's servos nothing is expected
-        self._expected = ports.publishers.get("expected/joint_states")
+        self._expected = node_io.publishers.get("expected/joint_states")
         self._gate = make_gate(settings, robot, now)
         self._monitor = Monitor(self._gate, robot.joint_names, stopped_in, now)
         transitions = robot_file(settings.transition_file, robot.name)
         rospy.loginfo("transitions are recorded in %s", transitions)
         self._transitions = TransitionLog(transitions, robot.joint_names)
         self._plan_to_joints = rospy.ServiceProxy("plan_to_joints", srv.PlanToJoints)
-        self._stopped = StopMemory(stopped_in, ports.keeper(PARAMETER))
-        self.speed = SpeedLimitService(kept, ports)
+        self._saved_stop = SavedParameter(stopped_in, node_io.parameter_writer(PARAMETER))
+        self.speed = SpeedLimitService(limits_file, node_io)
         self._lock = threading.Lock()
-        self._heard = 0
+        self._received_at = 0
         #: As it was told last; empty: not yet.
         self._hold: tuple[Cause | None, ...] = ()
         self._changes: deque[Transition] = deque()
-        self._said = DeferredLog()
+        self._log_queue = DeferredLog()
         # each from making a message until it is out: several threads publish, and the newest state must be the last one heard
         self._syncing, self._reporting = threading.Lock(), threading.Lock()
 
@@ -210,7 +212,7 @@ class PcaMonitorNode:
         now = time.monotonic_ns()
         with self._lock:
             command = self._gate.pass_next(stamp, theta_next, now)
-            self._note_changes()
+            self._collect_changes()
         if command is not None:
             self._command.publish(stamp, command)
         self._publish(now)
@@ -220,17 +222,17 @@ class PcaMonitorNode:
         now = time.monotonic_ns()
         with self._lock:
             self._gate.watch(now)
-            self._note_changes()
+            self._collect_changes()
             stopped_in = self._monitor.stopped_in
         self._publish(now)
-        self._stopped.keep(stopped_in, now)
+        self._saved_stop.save(stopped_in, now)
 
     def write_transitions(self) -> None:
         """Write the transitions to their logs, in a thread of its own: a disk that hangs must not silence `sync`."""
-        self._said.flush()
+        self._log_queue.flush()
         self._transitions.flush()
-        if self._transitions.problem:
-            rospy.logerr_throttle(5.0, "%s", self._transitions.problem)
+        if self._transitions.fault:
+            rospy.logerr_throttle(5.0, "%s", self._transitions.fault)
 
     def on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
         """Take the twin's pose [rad] with its stamp [ns]."""
@@ -242,11 +244,11 @@ class PcaMonitorNode:
         now = time.monotonic_ns()
         # what waited in a queue is not fresh because it is read now. Both stamps are taken moments apart: a clock that is
         # set makes a single pose look old, never the ones before it
-        self._heard = max(self._heard, now - max(now_ns() - received, 0))
+        self._received_at = max(self._received_at, now - max(now_ns() - received, 0))
         with self._lock:
-            self._gate.on_physical(q, command_stamp, self._heard, received, seq)
-            self._note_changes()
-            servos = self._gate.watch_of_servos
+            self._gate.on_physical(q, command_stamp, self._received_at, received, seq)
+            self._collect_changes()
+            servos = self._gate.servo_watch
             expected = servos.expected if servos is not None else ()
         if self._changes:
             self._publish(now)
@@ -258,14 +260,14 @@ class PcaMonitorNode:
         """Take the link's state; a new session restarts the gate."""
         with self._lock:
             self._monitor.on_link(message.session, message.state == msg.Link.MIRROR, time.monotonic_ns())
-            self._note_changes()
+            self._collect_changes()
 
     def on_configure(self, request: srv.ConfigureGateRequest) -> str:
         """Change settings of the gate, at rest only."""
         now = time.monotonic_ns()
         with self._lock:
             changed = self._monitor.configure(request.operator, request.settings, now)
-            self._note_changes()
+            self._collect_changes()
         self._publish(now)
         return changed
 
@@ -290,11 +292,11 @@ class PcaMonitorNode:
         with self._lock:
             self._monitor.on_execution(message.plan_id, executing, playing, message.moment)
 
-    def _note_changes(self) -> None:
-        """Take over the gate's transitions, and ask for a plan beside the stream; under the lock, before a change can be heard."""
+    def _collect_changes(self) -> None:
+        """Collect the gate's transitions, and ask for a plan beside the stream; under the lock, before a change can be heard."""
         if not self._gate.transitions:
             return
-        changes, replan = self._monitor.take_transitions()
+        changes, replan = self._monitor.pop_transitions()
         if replan is not None:
             threading.Thread(target=self._request_plan, args=(replan,), daemon=True).start()
         # the gate's clock is its own
@@ -311,7 +313,7 @@ class PcaMonitorNode:
                 acceleration_scale=wanted.acceleration_scale,
                 source=Sentence("re-plan after a hold"),
                 # not now: a person may have called `stop` since then, which this node has not heard of
-                asked=wanted.seen,
+                asked=wanted.last_played,
             )
         except rospy.ServiceException as error:
             problem: str = Sentence("the planner did not answer: {problem}", problem=str(error))
@@ -324,7 +326,7 @@ class PcaMonitorNode:
         now = time.monotonic_ns()
         with self._lock:
             self._monitor.on_replan_failed(replan, problem, now)
-            self._note_changes()
+            self._collect_changes()
         self._publish(now)
 
     # -- reports
@@ -333,7 +335,7 @@ class PcaMonitorNode:
         # the executor waits for `sync`, and no node for the rest
         with self._syncing:
             with self._lock:
-                report, cause = self._monitor.sync(now), self._gate.cause
+                report, cause = self._monitor.pop_sync_report(now), self._gate.cause
             if report is not None:
                 self._publishers["sync"].publish(to_msg(replace(report, stamp=now_ns()), msg.Sync))
                 if (cause,) != self._hold:
@@ -346,9 +348,9 @@ class PcaMonitorNode:
         if self._changes:
             with self._reporting:
                 while self._changes:
-                    self._report(self._changes.popleft())
+                    self._publish_transition(self._changes.popleft())
 
-    def _report(self, change: Transition) -> None:
+    def _publish_transition(self, change: Transition) -> None:
         self._transitions.add(change)
         message = msg.Transition(
             from_text=change.source.name,
@@ -363,16 +365,16 @@ class PcaMonitorNode:
             message.error, message.threshold = change.comparison.error, change.comparison.threshold
         self._publishers["transitions"].publish(message)
         warns = rospy.logwarn if change.target in _WARNED else rospy.loginfo
-        self._said.add(rospy.logerr if change.target in _SERIOUS else warns, "%s", change)
+        self._log_queue.add(rospy.logerr if change.target in _SERIOUS else warns, "%s", change)
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
-        gate, speed, problem = self._gate, self.speed.report(), self._transitions.problem or self._stopped.problem
+        gate, speed, problem = self._gate, self.speed.diagnose(), self._transitions.fault or self._saved_stop.fault
         level = ERROR if gate.state in _SERIOUS else OK if gate.state is SyncState.IN_SYNC else WARN
         limited = speed.sentence if speed.level != OK else ""
         sentence = "; ".join(filter(None, (f"{gate.state.name}: {gate.reason}", problem, limited)))
         values = {**self._monitor.values(), **speed.values, **self._transitions.values()}
-        return Report(ERROR if problem else max(level, speed.level), sentence, values)
+        return Diagnosis(ERROR if problem else max(level, speed.level), sentence, values)
 
 
 def make_gate(settings: Settings, robot: RobotModel, now: int) -> Gate:
@@ -396,12 +398,12 @@ def check(settings: Settings, robot: RobotModel, shared: shell.Shared) -> None:
 
 
 INTERFACE = shell.Interface(
-    report=PcaMonitorNode.report,
+    diagnose=PcaMonitorNode.diagnose,
     parameters=(
-        shell.SharedParameter(PARAMETER, "", kept=True),
+        shell.SharedParameter(PARAMETER, "", written=True),
         shell.SharedParameter("executor", {}),
         shell.SharedParameter("gateway"),
-        shell.SharedParameter(PROGRAM, "", kept=True),
+        shell.SharedParameter(PROGRAM, "", written=True),
     ),
     publishes=(
         shell.PosePublication("command/joint_states"),
@@ -412,7 +414,7 @@ INTERFACE = shell.Interface(
         shell.Publication("speed_limit_in_force", msg.SpeedLimitInForce, queue_size=5, latch=True, tcp_nodelay=True),
         shell.Publication("speed_change", msg.SpeedChange, queue_size=50),
     ),
-    hears=(
+    subscribes=(
         shell.PoseSubscription("twin/joint_states", PcaMonitorNode.on_twin),
         shell.PoseSubscription("physical/feedback", PcaMonitorNode.on_feedback, FEEDBACK_KEPT, msg.Feedback),
         shell.PoseSubscription("next/joint_states", PcaMonitorNode.on_next, SETPOINTS_KEPT),
@@ -431,11 +433,11 @@ INTERFACE = shell.Interface(
         shell.Served("configure_gate", srv.ConfigureGate, PcaMonitorNode.on_configure, reason="configure_gate"),
         shell.Served("limit_speed", srv.LimitSpeed, lambda node, asked: node.speed.on_limit_speed(asked)),
     ),
-    every=(
-        shell.Every(lambda _settings: 1 / SYNC_RATE, PcaMonitorNode.watch),
-        shell.Every(lambda _settings: WRITE_PERIOD, PcaMonitorNode.write_transitions),
-        shell.Every(lambda _settings: LIMIT_PERIOD, lambda node: node.speed.repeat()),
-        shell.Every(lambda _settings: LIMIT_AGAIN, lambda node: node.speed.write()),
+    timers=(
+        shell.NodeTimer(lambda _settings: 1 / SYNC_RATE, PcaMonitorNode.watch),
+        shell.NodeTimer(lambda _settings: WRITE_PERIOD, PcaMonitorNode.write_transitions),
+        shell.NodeTimer(lambda _settings: LIMIT_PERIOD, lambda node: node.speed.repeat()),
+        shell.NodeTimer(lambda _settings: LIMIT_AGAIN, lambda node: node.speed.write()),
     ),
 )
 NODE = shell.NodeShell("pca_monitor", Settings, PcaMonitorNode, INTERFACE, check, fast=True)

@@ -14,11 +14,11 @@ from std_srvs.srv import Trigger, TriggerRequest
 from trajectory_msgs.msg import JointTrajectory
 
 from construction_twin import msg, srv
-from construction_twin.core.extensions import extension
-from construction_twin.core.freshness import parse_moment, present
+from construction_twin.core.extensions import import_extension
+from construction_twin.core.freshness import parse_moment, present_moment
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.execution.engagement import scene_problem
+from construction_twin.execution.engagement import scene_obstacle
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.pipeline import PlanningPipeline
@@ -42,7 +42,7 @@ from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.arm_listener import OtherArm, await_robot, listen_to_other_arm, neighbour_settings
-from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.subscriber import caller_of
@@ -69,7 +69,7 @@ class EngagedError(PlanningError):
 
 def plan_request(request, source: str = "request") -> PlanRequest:
     """Return the request behind any of the services'; PlanningError where it was asked for after it came, or on another clock."""
-    arrived = present()
+    arrived = present_moment()
     asked = parse_moment(request.asked) if getattr(request, "asked", "") else arrived
     if asked.origin != arrived.origin or asked.at > arrived.at:
         raise PlanningError(
@@ -77,8 +77,8 @@ def plan_request(request, source: str = "request") -> PlanRequest:
             "repeat the `moment` of `execution`, or give none"
         )
     names = ("duration", "speed_scale", "acceleration_scale", "waypoints")
-    given: dict[str, Any] = {name: getattr(request, name, None) or None for name in names}
-    return PlanRequest(asked=asked, source=request.source or source, **given)
+    options: dict[str, Any] = {name: getattr(request, name, None) or None for name in names}
+    return PlanRequest(asked=asked, source=request.source or source, **options)
 
 
 def tool_waypoints(waypoints: Iterable, base_T_frame: Pose) -> list[ToolWaypoint]:
@@ -118,14 +118,14 @@ class Settings(PlannerSettings):
 class PlannerNode:
     """ROS around a PlanningPipeline: requests by service and topic in, plans out."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
         self._robot = robot
         self._chain = Chain(self._robot)
-        self._beside = neighbour_settings()
+        self._neighbour = neighbour_settings()
         rng, ik = np.random.default_rng(settings.seed), IkSettings(budget_s=settings.ik_budget)
         solver, pairs = inverse_kinematics(self._chain, ik, rng, time.monotonic), settings.self_collision
-        occupied = self._occupied if self._beside is not None else None
-        given = (
+        occupied = self._occupied if self._neighbour is not None else None
+        parts = (
             solver,
             settings,
             read_self_collision(pairs, robot),
@@ -133,32 +133,32 @@ class PlannerNode:
             rospy.resolve_name("scene"),
             occupied,
         )
-        self._pipeline = PlanningPipeline(robot, *given)
+        self._pipeline = PlanningPipeline(robot, *parts)
         self._plans = 0
         self._last = "no plan asked for yet"
-        self._diagnostics = ports.diagnostics
+        self._diagnostics = node_io.diagnostics
         self._other: OtherArm | None = None
-        if self._beside is not None:
-            await_robot(self._beside.name)
-            self._other = listen_to_other_arm(self._robot.name, self._beside, self._diagnostics.refuse)
+        if self._neighbour is not None:
+            await_robot(self._neighbour.name)
+            self._other = listen_to_other_arm(self._robot.name, self._neighbour, self._diagnostics.refuse)
         self._frames = listen_to_frames(robot, settings.tf_prefix, TF_TIMEOUT, self._diagnostics.refuse)
-        self._publisher, self._outcome_publisher = ports.publishers["plan"], ports.publishers["plan_outcome"]
-        self._twin = ports.poses["twin/joint_states"]
+        self._publisher, self._outcome_publisher = node_io.publishers["plan"], node_io.publishers["plan_outcome"]
+        self._twin = node_io.poses["twin/joint_states"]
         self._engagement: msg.Engagement | None = None
-        self._connections = functools.partial(ports.connections, "scene")
+        self._connections = functools.partial(node_io.connections, "scene")
         self._requests = PlanRequests(self._await_surroundings, self._publish)
 
     # -- the other arm
 
     def _occupied(self) -> list[Obstacle]:
-        assert self._other is not None and self._beside is not None
-        return [item.padded(self._beside.padding) for item in self._other.occupied().obstacles]
+        assert self._other is not None and self._neighbour is not None
+        return [item.padded(self._neighbour.padding) for item in self._other.occupied().obstacles]
 
     def _await_surroundings(self) -> None:
         """Wait for a scene whose publisher is connected: without it, the present surroundings of the arm are not known."""
-        seen = self._pipeline.scene
+        scene = self._pipeline.scene
         if not self._connections():
-            self._pipeline.forget_scene(seen)
+            self._pipeline.forget_scene(scene)
         self._pipeline.wait_for_scene(SCENE_TIMEOUT)
 
     # -- subscriptions
@@ -214,7 +214,9 @@ class PlannerNode:
         asked = plan_request(request, request.path)
         return self._through(
             asked,
-            lambda: extension("planners.waypoint_file").read_waypoints(request.path, self._robot, request.columns),
+            lambda: import_extension("planners.waypoint_file").read_waypoints(
+                request.path, self._robot, request.columns
+            ),
         )
 
     def on_plan_trajectory(self, request: srv.PlanTrajectoryRequest) -> Outcome:
@@ -224,7 +226,7 @@ class PlannerNode:
 
     def on_trajectory(self, message: JointTrajectory) -> None:
         """Plan a motion from elsewhere; what becomes of it stands in `plan_outcome`."""
-        asked = PlanRequest(asked=present(), source=f"joint_trajectory from {caller_of(message)}")
+        asked = PlanRequest(asked=present_moment(), source=f"joint_trajectory from {caller_of(message)}")
         self._through(asked, lambda: trajectory_waypoints(message, self._robot))
 
     def _through(self, asked: PlanRequest, read: Callable[[], Waypoints], retime: bool = False) -> Outcome:
@@ -237,7 +239,7 @@ class PlannerNode:
 
     def on_plan_work(self, request: srv.PlanWorkRequest) -> Outcome:
         """Plan the segments of a task as one."""
-        asked = PlanRequest(asked=present(), source=request.source or f"task {request.task}")
+        asked = PlanRequest(asked=present_moment(), source=request.source or f"task {request.task}")
         changes: list[SceneChange] = []
 
         def read() -> Callable[[], Plan]:
@@ -254,7 +256,7 @@ class PlannerNode:
         """Plan the way back out of an engaged segment."""
         left = self._engagement
         source = f"way back out of {left.segment!r}: {left.reason}" if left is not None else "way back"
-        asked = PlanRequest(asked=present(), source=source)
+        asked = PlanRequest(asked=present_moment(), source=source)
 
         def read() -> Callable[[], Plan]:
             if left is None:
@@ -266,11 +268,11 @@ class PlannerNode:
             requires = tuple(from_msg(Signal, signal) for signal in left.requires)
 
             def plan() -> Plan:
-                made = self._pipeline.way_back(self._present_pose(), left.task, path, requires, asked)
-                if made.scene not in left.scenes:
-                    problem = scene_problem(made.scene, left.scenes)
+                way_back = self._pipeline.way_back(self._present_pose(), left.task, path, requires, asked)
+                if way_back.scene not in left.scenes:
+                    problem = scene_obstacle(way_back.scene, left.scenes)
                     raise PlanningError(Sentence("there is no way back now: {problem}", problem=problem))
-                return made
+                return way_back
 
             return plan
 
@@ -325,21 +327,21 @@ class PlannerNode:
     def _present_pose(self) -> tuple[float, ...]:
         return self._twin.pose(MAX_POSE_AGE, MAX_POSE_AGE)
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         scene = self._pipeline.scene
         values = {"plans": self._plans, "repeated": self._requests.repeated, "scene": scene.hash if scene else "none"}
-        return Report(OK if scene is not None else WARN, self._last, values)
+        return Diagnosis(OK if scene is not None else WARN, self._last, values)
 
 
 INTERFACE = shell.Interface(
-    report=PlannerNode.report,
+    diagnose=PlannerNode.diagnose,
     publishes=(
         shell.Publication("plan", msg.Plan, queue_size=1, latch=True),
         shell.Publication("plan_outcome", msg.PlanOutcome, queue_size=1, latch=True),
     ),
-    reads=(shell.NewestPose("twin/joint_states"),),
-    hears=(
+    polls=(shell.PolledPose("twin/joint_states"),),
+    subscribes=(
         shell.Subscription("engagement", msg.Engagement, PlannerNode.on_engagement, queue_size=1),
         shell.Subscription("review", msg.Review, PlannerNode.on_review, queue_size=10),
         shell.Subscription("scene", msg.Scene, PlannerNode.on_scene, queue_size=1),

@@ -12,7 +12,7 @@ import rospy
 
 from construction_twin.broker.start import ACCOUNTS
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.files import write_whole
+from construction_twin.core.files import write_atomically
 from construction_twin.gateway.command_line import check, read_arguments
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.stop_file import StopFile
@@ -30,12 +30,12 @@ def stop_file(arm: str, config: Path, robot: str) -> Path:
     path = config.with_suffix(".stopped") if arm in (NEW_MOCK, MOCK) else config.with_name(f"{robot}.stopped")
     stops = StopFile(path)
     if arm == NEW_MOCK:
-        stops.keep("")
+        stops.save("")
     stops.close()
     return path
 
 
-def checked(words: list[str], parameters: Parameters = rospy) -> GatewayConfig:
+def checked_config(words: list[str], parameters: Parameters = rospy) -> GatewayConfig:
     """Return the configuration of a gateway with these options; raise the ConstructionTwinError that it is refused for."""
     config = config_from_parameters(parameters=parameters)
     options = read_arguments([*words, "--config", ""])
@@ -53,7 +53,7 @@ def main() -> None:
 
 def _hand_over() -> None:
     arguments = rospy.myargv(sys.argv)[1:]
-    config = checked(arguments)
+    config = checked_config(arguments)
     expect_own_parameters()
     # one file per node and ROS master: two masters of one user must not hand each other's configuration over
     name = re.sub(r"\W+", "_", f"{rosgraph.get_master_uri()} {rospy.get_name()}")
@@ -62,7 +62,7 @@ def _hand_over() -> None:
     stops = stop_file(arm, path, config.robot)
     if arm == NEW_MOCK:
         rospy.set_param(ARM, MOCK)
-    write_whole(path, config.to_json())
+    write_atomically(path, config.to_json())
     rospy.signal_shutdown("handing over to the gateway")
     files = ["--config", str(path), "--stop-file", str(stops)]
     os.execv(sys.executable, [sys.executable, "-m", "construction_twin.gateway", *files, *arguments])

@@ -14,17 +14,17 @@ from visualization_msgs.msg import MarkerArray
 
 from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
-from construction_twin.core.extensions import ExtensionAbsent, extension
+from construction_twin.core.extensions import ExtensionAbsent, import_extension
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.ros.messages.convert import pose_from_msg
 from construction_twin.ros.messages.scene_convert import object_from_msg, scene_markers, scene_to_msg
 from construction_twin.ros.shared import node_shell as shell
-from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import PrivateSettings, ros_home
-from construction_twin.ros.transport.publisher import Sink
+from construction_twin.ros.transport.publisher import AnyPublisher
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.edits import SceneFile
@@ -56,11 +56,11 @@ class Settings(PrivateSettings):
 class SceneNode:
     """ROS around a CollisionWorld: what changes the scene, and who hears of it."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
         self._robot = robot
         self._prefix = settings.tf_prefix.rstrip("/")
         start = read_scene(settings.scene)
-        self._file = _scene_file(start, ports.parameters[_RUN])
+        self._file = _scene_file(start, node_io.parameters[_RUN])
         scene = self._file.load()
         if scene.hash != start.hash:
             rospy.logwarn("scene %s: goes on after the edits of this run, from %s", scene.hash[:12], self._file.path)
@@ -70,19 +70,19 @@ class SceneNode:
         self._touching: dict[tuple[str, str], None] = {}
         self._lasting: list[str] = []
         self._shown: set[str] = set()
-        self._state = Report(WARN, "the twin's present pose is not known yet")
+        self._state = Diagnosis(WARN, "the twin's present pose is not known yet")
         self._edits = 0
-        self._diagnostics = ports.diagnostics
+        self._diagnostics = node_io.diagnostics
         self._frames = listen_to_frames(self._robot, self._prefix, _PATIENCE, self._diagnostics.refuse)
-        self._scene_publisher, self._marker_publisher = ports.publishers["scene"], ports.publishers["scene_markers"]
-        self._planning_scene = self._for_moveit(ports.publishers.get(PLANNING_SCENE.topic))
-        self._twin = ports.poses["twin/joint_states"]
+        self._scene_publisher, self._marker_publisher = node_io.publishers["scene"], node_io.publishers["scene_markers"]
+        self._planning_scene = self._for_moveit(node_io.publishers.get(PLANNING_SCENE.topic))
+        self._twin = node_io.poses["twin/joint_states"]
         with self._busy:
             for sentence in self._new_lasting_contacts():
                 rospy.logwarn("%s", sentence)
             self._publish_scene()
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         return self._state
 
@@ -175,18 +175,18 @@ class SceneNode:
         try:
             q = self._twin.pose(_PATIENCE)
         except (PoseUnknownError, PayloadError) as error:
-            self._state = Report(WARN, str(error), values)
+            self._state = Diagnosis(WARN, str(error), values)
             return
         self._touching = {contact.between: None for contact in self._world.contacts(q)}
         clearance = self._world.clearance(q)
         values |= {"clearance": f"{clearance.distance:.4f}", "clearance between": " and ".join(clearance.between)}
         if self._touching:
             where = "in contact (padding included) at the present pose"
-            self._state = Report(WARN, f"{where}: {self._contact_text()}", values)
+            self._state = Diagnosis(WARN, f"{where}: {self._contact_text()}", values)
         elif self._lasting:
-            self._state = Report(WARN, self._lasting[0], values)
+            self._state = Diagnosis(WARN, self._lasting[0], values)
         else:
-            self._state = Report(OK, "the present pose is free of contact", values)
+            self._state = Diagnosis(OK, "the present pose is free of contact", values)
 
     def _contact_text(self) -> str:
         return ", ".join(f"{first} and {second}" for first, second in self._touching)
@@ -197,12 +197,12 @@ class SceneNode:
             self._planning_scene.publish(self._world.scene, rospy.Time.now())
         self._publish_markers()
 
-    def _for_moveit(self, publisher: Sink | None) -> Any:
+    def _for_moveit(self, publisher: AnyPublisher | None) -> Any:
         if publisher is None:
             rospy.loginfo("planning_scene is not published without moveit_msgs; `twin scene --moveit` writes a file")
             return None
         try:
-            moveit = extension("planners.nodes.planning_scene")
+            moveit = import_extension("planners.nodes.planning_scene")
         except ExtensionAbsent as error:
             rospy.loginfo("planning_scene is not published: %s", error)
             return None
@@ -229,14 +229,14 @@ def _edit(name: str, kind: type, change: Callable[[SceneNode, Any], tuple[Scene,
 
 
 INTERFACE = shell.Interface(
-    report=SceneNode.report,
+    diagnose=SceneNode.diagnose,
     parameters=(shell.SharedParameter(_RUN, ""),),
     publishes=(
         shell.Publication("scene", msg.Scene, queue_size=1, latch=True),
         shell.Publication("scene_markers", MarkerArray, queue_size=1, latch=True),
         PLANNING_SCENE,
     ),
-    reads=(shell.NewestPose("twin/joint_states"),),
+    polls=(shell.PolledPose("twin/joint_states"),),
     listeners=FRAMES,
     serves=(
         _edit("add_object", srv.AddObject, SceneNode.add),
@@ -246,7 +246,7 @@ INTERFACE = shell.Interface(
         _edit("clear_scene", Trigger, SceneNode.clear),
         _edit("edit_scene", srv.EditScene, SceneNode.change),
     ),
-    every=(shell.Every(lambda _settings: CHECK_PERIOD, SceneNode.check),),
+    timers=(shell.NodeTimer(lambda _settings: CHECK_PERIOD, SceneNode.check),),
 )
 
 

@@ -22,12 +22,12 @@ from construction_twin.core.share import share_folder
 from construction_twin.msg import Feedback, Scene, StartRefused
 from construction_twin.robot.description import RobotModel, other_joints_text
 from construction_twin.ros.shared import node_shell as shell
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report, warn_of_refusals
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Diagnosis, warn_of_refusals
 from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
-from construction_twin.ros.shared.start_refusal import AGAIN, TOPIC, launch
+from construction_twin.ros.shared.start_refusal import RESTART_DELAY, TOPIC, launch_id
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
-from construction_twin.views.startup import Deployment, Seen, StartUp, Word
+from construction_twin.views.startup import Deployment, ReportedState, StartUp, StartupInputs
 
 #: How often it checks [s].
 PERIOD = 0.25
@@ -69,13 +69,13 @@ class Refusals:
         self._nodes.setdefault(sentence, {})[re.sub(r"_\d+_\d{13}$", "", node)] = time.monotonic()
 
     def _on_refused(self, message: StartRefused) -> None:
-        if message.launch == launch():
+        if message.launch == launch_id():
             self.add(caller_of(message), message.sentence)
 
     @property
     def sentences(self) -> list[str]:
         """Each sentence once, with the nodes that say it; a node that has not repeated it has started since."""
-        since = time.monotonic() - 2.0 * AGAIN
+        since = time.monotonic() - 2.0 * RESTART_DELAY
         nodes = {
             sentence: sorted(node for node, at in dict(said).items() if at > since)
             for sentence, said in dict(self._nodes).items()
@@ -93,13 +93,13 @@ class StartupNode:
     """ROS around a StartUp."""
 
     def __init__(
-        self, settings: Settings, robot: RobotModel, ports: shell.Ports, clock: Callable[[], float] = time.monotonic
+        self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO, clock: Callable[[], float] = time.monotonic
     ):
         namespace = rospy.get_namespace().rstrip("/")
         named = settings.model_dump(exclude={"console", "gui"})
         self._startup = StartUp(Deployment(namespace=namespace, **named))
         self._refusals, self._refused = Refusals(), threading.Event()
-        self._said: set[str] = set()
+        self._logged: set[str] = set()
         self._clock, self._began = clock, clock()
         self._is_over = False
         #: Topics of which a message has come.
@@ -115,8 +115,8 @@ class StartupNode:
                 "construction_twin twin arm --responsible NAME`. Read docs/broker.md first"
             )
         self._listener = RobotListener(namespace, robot)
-        self._ports = ports
-        self._heard: set[str] = set()
+        self._node_io = node_io
+        self._unsubscribed: set[str] = set()
 
     def run(self) -> None:
         """Wait for the end of ROS, or end the launch: only at its start, so that no arm is left in the midst."""
@@ -135,33 +135,33 @@ class StartupNode:
         if self._refusals.sentences and not self._is_over:
             self._refused.set()
             return
-        for sentence in set(self._refusals.sentences) - self._said:
-            self._said.add(sentence)
+        for sentence in set(self._refusals.sentences) - self._logged:
+            self._logged.add(sentence)
             rospy.logerr("%s", sentence)
-        for topic in self.came - self._heard:
-            self._heard.add(topic)
-            self._ports.stop_hearing(topic)  # one message of a 250 Hz stream is enough
+        for topic in self.came - self._unsubscribed:
+            self._unsubscribed.add(topic)
+            self._node_io.unsubscribe(topic)  # one message of a 250 Hz stream is enough
         reports = {"link": snapshot.link, "sync": snapshot.sync, "execution": snapshot.execution}
         # a node that fell silent is not there
         words = {
-            name: Word(facts.text, facts.reason, getattr(facts, "gateway_state", ""))
+            name: ReportedState(facts.text, facts.reason, getattr(facts, "gateway_state", ""))
             for name, facts in reports.items()
             if facts is not None and name not in snapshot.silent
         }
-        told = snapshot.link.gateway_counters if snapshot.link is not None and "link" in words else {}
+        counters = snapshot.link.gateway_counters if snapshot.link is not None and "link" in words else {}
         link, sync, execution = (words.get(name) for name in reports)
         feedback, twin, scene = (topic in self.came for topic in (FEEDBACK, TWIN, SCENE))
-        seen = Seen(link, sync, execution, feedback, twin, scene, told.get("controller_sentence", ""))
-        for line in self._startup.update(seen, now):
+        inputs = StartupInputs(link, sync, execution, feedback, twin, scene, counters.get("controller_sentence", ""))
+        for line in self._startup.update(inputs, now):
             waits = self._startup.missing is not None
             (rospy.logwarn if waits else rospy.loginfo)("%s", line)
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         if sentences := self._refusals.sentences:
-            return Report(ERROR, "; ".join(sentences))
+            return Diagnosis(ERROR, "; ".join(sentences))
         missing = self._startup.missing
-        return Report(OK, "ready") if missing is None else Report(WARN, str(missing))
+        return Diagnosis(OK, "ready") if missing is None else Diagnosis(WARN, str(missing))
 
 
 def expect_reachable(environ: Mapping[str, str]) -> None:
@@ -243,14 +243,14 @@ def refused(sentence: str) -> None:
 
 
 INTERFACE = shell.Interface(
-    report=StartupNode.report,
-    hears=(
+    diagnose=StartupNode.diagnose,
+    subscribes=(
         shell.Subscription(FEEDBACK, Feedback, lambda node, _: node.came.add(FEEDBACK), queue_size=1),
         shell.Subscription(TWIN, rospy.AnyMsg, lambda node, _: node.came.add(TWIN), queue_size=1),
         shell.Subscription(SCENE, Scene, lambda node, _: node.came.add(SCENE), queue_size=1),
     ),
     listeners=(*REPORTS, TOPIC),
-    every=(shell.Every(lambda _settings: PERIOD, StartupNode.update),),
+    timers=(shell.NodeTimer(lambda _settings: PERIOD, StartupNode.update),),
 )
 NODE = shell.NodeShell("startup", Settings, StartupNode, INTERFACE, check, refused=refused)
 main = NODE.run

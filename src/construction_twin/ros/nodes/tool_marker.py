@@ -35,7 +35,7 @@ from construction_twin.robot.motion_errors import KinematicsError, SceneError
 from construction_twin.ros.messages.convert import pose_from_msg, pose_to_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
 from construction_twin.ros.shared import node_shell as shell
-from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
 from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
@@ -160,7 +160,7 @@ def _text(text: str, at: Point, scale: float) -> Marker:
 class ToolMarkerNode:
     """Interactive marker `tool_marker`, markers `tool_marker/verdict`; its menu calls the services that an operator would."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
         self._settings = settings
         self._robot = robot
         self._chain = Chain(self._robot)
@@ -172,23 +172,23 @@ class ToolMarkerNode:
         self._news = threading.Condition()
         self._pending = False
         self._scene: Scene | None = None
-        self._said = ""
+        self._shown_text = ""
         # what only the worker uses
         self._world: CollisionWorld | None = None
         self._place: Pose | None = None
         self._verdict: PoseVerdict | None = None
-        self._problem: str = "the twin's pose is not known yet"
+        self._fault: str = "the twin's pose is not known yet"
         self._drawn: MarkerArray | None = None
         self._finished = ""
         namespace = rospy.get_namespace()
-        self._diagnostics = ports.diagnostics
+        self._diagnostics = node_io.diagnostics
         self._listener = RobotListener(namespace, self._robot, refuse=self._diagnostics.refuse)
         client = OperatorClient(namespace, SERVICE_TIMEOUT, "tool_marker")
         reviewer = settings.reviewer or getpass.getuser()
-        self._menu = ToolMarkerMenu(client, self._listener.under_review, robot.home, reviewer, self._say)
-        self._verdicts = ports.publishers["tool_marker/verdict"]
+        self._menu = ToolMarkerMenu(client, self._listener.under_review, robot.home, reviewer, self._show_text)
+        self._verdicts = node_io.publishers["tool_marker/verdict"]
         self._server = MarkerServer("tool_marker", self._diagnostics.refuse)
-        self._twin = ports.poses["twin/joint_states"]
+        self._twin = node_io.poses["twin/joint_states"]
 
     def run(self) -> None:
         """Judge the newest pose, or follow the tool, until shutdown."""
@@ -198,7 +198,7 @@ class ToolMarkerNode:
                 asked, self._pending = self._pending, False
                 scene = self._scene
             if not asked:
-                self._notice_ending()
+                self._drop_reached_goal()
                 if self._menu.goal is None:
                     self._follow()
             goal = self._menu.goal
@@ -252,14 +252,14 @@ class ToolMarkerNode:
             self._pending = True
             self._news.notify_all()
 
-    def _say(self, sentence: str) -> None:
+    def _show_text(self, sentence: str) -> None:
         with self._news:
-            self._said = sentence
+            self._shown_text = sentence
             self._news.notify_all()
 
     # -- the worker
 
-    def _notice_ending(self) -> None:
+    def _drop_reached_goal(self) -> None:
         """Drop the goal when a plan has brought the tool there."""
         execution = self._listener.newest("execution")
         if execution is None or execution.outcome != "finished" or execution.state != Execution.IDLE:
@@ -275,12 +275,12 @@ class ToolMarkerNode:
         try:
             tool = self._chain.forward(self._twin.pose(MAX_POSE_AGE))
         except (PoseUnknownError, PayloadError) as error:
-            self._verdict, self._problem = None, str(error)
+            self._verdict, self._fault = None, str(error)
             return
         if self._place is None or moved(self._place, tool):
-            self._put(tool)
+            self._place_marker(tool)
 
-    def _put(self, tool: Pose) -> None:
+    def _place_marker(self, tool: Pose) -> None:
         if self._place is None:
             marker = tool_marker(self._frame, pose_to_msg(tool), self._settings.scale)
             self._server.insert(marker, self._on_feedback)
@@ -301,7 +301,7 @@ class ToolMarkerNode:
             seed = self._twin.pose(MAX_POSE_AGE)
             self._verdict = judge_pose(pose, seed, self._solver, self._world_of(scene))
         except ConstructionTwinError as error:
-            self._verdict, self._problem = None, str(error)
+            self._verdict, self._fault = None, str(error)
 
     def _world_of(self, scene: Scene) -> CollisionWorld:
         if self._world is None:
@@ -314,7 +314,7 @@ class ToolMarkerNode:
         if self._place is None:
             return
         verdict, plan = self._verdict, self._listener.under_review()
-        lines = [self._problem if verdict is None else verdict.sentence, self._said]
+        lines = [self._fault if verdict is None else verdict.sentence, self._shown_text]
         if plan is not None:
             lines.append(waiting_plan(plan))
         reach = None if verdict is None else verdict.reach
@@ -324,20 +324,22 @@ class ToolMarkerNode:
             self._verdicts.publish(markers)
         self._menu.show("" if plan is None else plan.id)
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         verdict = self._verdict
         if verdict is None:
-            return Report(WARN, self._problem)
+            return Diagnosis(WARN, self._fault)
         free = "free" if verdict.reach is Reach.FREE else "not free"
-        return Report(OK, f"{'follows the tool' if self._menu.goal is None else f'goal is {free}'}: {verdict.sentence}")
+        return Diagnosis(
+            OK, f"{'follows the tool' if self._menu.goal is None else f'goal is {free}'}: {verdict.sentence}"
+        )
 
 
 INTERFACE = shell.Interface(
-    report=ToolMarkerNode.report,
+    diagnose=ToolMarkerNode.diagnose,
     publishes=(shell.Publication("tool_marker/verdict", MarkerArray, queue_size=2, latch=True),),
-    reads=(shell.NewestPose("twin/joint_states"),),
-    hears=(
+    polls=(shell.PolledPose("twin/joint_states"),),
+    subscribes=(
         shell.Subscription("scene", SceneMsg, ToolMarkerNode.on_scene, queue_size=1),
         shell.Subscription("tool_marker/feedback", InteractiveMarkerFeedback, ToolMarkerNode.on_click, queue_size=50),
     ),

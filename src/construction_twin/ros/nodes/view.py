@@ -19,7 +19,7 @@ from construction_twin.ros.shared.start_refusal import expect_no_other
 ROBOT = "kr120"
 
 
-def view_for(text: str, robot: str, above: str = "/") -> str:
+def rviz_config_for(text: str, robot: str, above: str = "/") -> str:
     """Return a view file's text for a robot of another name, for which `kr120` as a whole word stands, in namespace `above`."""
     return re.sub(rf"\b{ROBOT}\b", robot, re.sub(rf": /(?={ROBOT}\w*/)", f": {above}", text))
 
@@ -40,16 +40,16 @@ def main() -> None:
         return
     # in the namespace where this is started; view.launch has one of its own, and gives the whole name
     above, _, robot = rosgraph.names.ns_join(rospy.get_namespace(), options.robot).rpartition("/")
-    config = _config(Path(options.config), robot, f"{above}/")
+    config = _write_config(Path(options.config), robot, f"{above}/")
     remappings = [word for word in sys.argv[1:] if ":=" in word]
     os.execvp("rviz", ["rviz", "-d", str(config), *remappings])
 
 
-def _config(path: Path, robot: str, above: str) -> Path:
+def _write_config(path: Path, robot: str, above: str) -> Path:
     """Return the view file for a robot: the given one, or a copy with the robot's name in ROS_HOME."""
     try:
         text = path.read_text(encoding="utf-8")
-        written = view_for(text, robot, above)
+        written = rviz_config_for(text, robot, above)
         if written == text:
             return path
         copy = ros_home() / f"{robot}_{path.name}"

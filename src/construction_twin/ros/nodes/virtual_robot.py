@@ -10,14 +10,14 @@ import rospy
 from sensor_msgs.msg import JointState
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.extensions import check_extras, extension
+from construction_twin.core.extensions import check_extras, import_extension
 from construction_twin.core.limits import MotionLimits
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.msg import Link, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared import node_shell as shell
-from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
 from construction_twin.ros.shared.params import NodeSettings
 from construction_twin.ros.transport.cycle import Cycles
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
@@ -53,18 +53,18 @@ def is_in_gazebo(settings: Settings) -> bool:
 class VirtualRobotNode:
     """ROS around a VirtualRobot and its TwinClock."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: shell.Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
         self._robot = VirtualRobot(robot.home if settings.arm == "none" else None, robot.linear)
-        self._limits, self._names, self._diagnostics = MotionLimits.of(robot), robot.joint_names, ports.diagnostics
-        self._publishers, self._twin = ports.publishers, ports.publishers["twin/joint_states"]
-        self._commanded = ports.publishers.get("twin/commanded")
+        self._limits, self._names, self._diagnostics = MotionLimits.of(robot), robot.joint_names, node_io.diagnostics
+        self._publishers, self._twin = node_io.publishers, node_io.publishers["twin/joint_states"]
+        self._commanded = node_io.publishers.get("twin/commanded")
         self._gazebo = GazeboTwin() if is_in_gazebo(settings) else None
         self._backend: TwinBackend = self._gazebo or KinematicBackend()
         #: The twin with mass, of the extension physics.
         self._simulated: Any = None
         if is_simulated_here(settings):
-            simulated = extension("physics.nodes.simulated_twin")
-            self._simulated = simulated.SimulatedTwin(settings, robot, ports.diagnostics.refuse)
+            simulated = import_extension("physics.nodes.simulated_twin")
+            self._simulated = simulated.SimulatedTwin(settings, robot, node_io.diagnostics.refuse)
             self._backend = self._simulated.twin
         self._effort_at = 0
         self._lock = threading.Lock()
@@ -92,16 +92,16 @@ class VirtualRobotNode:
                 self._restarted.wait(idle / NANOSECONDS)
                 self._cycles.skip()
 
-    def _advance(self, stamp: int, commanded: tuple[float, ...], told: bool) -> None:
+    def _advance(self, stamp: int, commanded: tuple[float, ...], published: bool) -> None:
         """Simulate one cycle, and publish its poses with a stamp [ns] if they are to be told; under the lock."""
-        if told and self._gazebo is not None:
+        if published and self._gazebo is not None:
             # before it can be answered
-            self._gazebo.told(stamp)
-        if told and self._commanded is not None:
+            self._gazebo.on_published(stamp)
+        if published and self._commanded is not None:
             # first: who decides what is commanded next waits for no simulation
             self._commanded.publish(stamp, commanded)
         pose = self._backend.cycle(commanded)
-        if not told or pose is None:
+        if not published or pose is None:
             return
         self._twin.publish(stamp, pose)
         if self._simulated is not None and abs(stamp - self._effort_at) >= EFFORT_PERIOD and self._backend.effort:
@@ -116,7 +116,7 @@ class VirtualRobotNode:
         if gazebo is None:
             return
         with self._lock:
-            if gazebo.answer(stamp):
+            if gazebo.on_simulated_pose(stamp):
                 self._twin.publish(stamp, q)
                 return
         self._diagnostics.refuse("answer", "a simulated pose with the stamp of no command, or of one answered before")
@@ -151,7 +151,7 @@ class VirtualRobotNode:
                 follows = self._robot.follow(stamp, q) and self._clock.on_command(stamp, self._cycles.reach(stamp))
                 if follows and self._robot.pose is not None:
                     self._advance(stamp, self._robot.pose, True)
-            elif self._robot.take_over(q):
+            elif self._robot.assume_pose(q):
                 rospy.loginfo("took over the physical arm's pose")
                 if self._leads:
                     self._robot.begin_mirror(self._limits)
@@ -185,31 +185,31 @@ class VirtualRobotNode:
                 self._robot.end_mirror()
         rospy.loginfo("follows the physical arm" if leads else "executes commands")
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         if self._robot.pose is None:
-            return Report(WARN, "waiting for the physical arm's pose")
+            return Diagnosis(WARN, "waiting for the physical arm's pose")
         said = "following the physical arm" if self._robot.mirrors else "executing"
         if self._gazebo is not None:
-            problem = self._backend.problem
-            return Report(WARN if problem else OK, problem or said)
+            fault = self._backend.fault
+            return Diagnosis(WARN if fault else OK, fault or said)
         if self._simulated is None:
-            return Report(OK, said)
+            return Diagnosis(OK, said)
         contacts = ", ".join(f"{first} + {second}" for first, second in self._backend.contacts)
         values = {"simulated scene": self._simulated.scene, "contacts": contacts or "none"}
         touches = contacts and f"the simulated arm touches: {contacts}"
-        problem = self._simulated.scene_problem or self._backend.problem or touches
-        return Report(WARN, problem, values) if problem else Report(OK, said, values)
+        fault = self._simulated.scene_fault or self._backend.fault or touches
+        return Diagnosis(WARN, fault, values) if fault else Diagnosis(OK, said, values)
 
 
 INTERFACE = shell.Interface(
-    report=VirtualRobotNode.report,
+    diagnose=VirtualRobotNode.diagnose,
     publishes=(
         shell.PosePublication("twin/joint_states"),
         shell.PosePublication("twin/commanded", when=shell.has_mass),
         shell.Publication("twin/effort", JointState, queue_size=5, when=is_simulated_here),
     ),
-    hears=(
+    subscribes=(
         shell.PoseSubscription("command/joint_states", VirtualRobotNode.on_command),
         shell.Subscription("link", Link, VirtualRobotNode.on_link, queue_size=5, when=shell.has_arm),
         shell.PoseSubscription("physical/joint_states", VirtualRobotNode.on_physical, when=shell.has_arm),
@@ -226,10 +226,10 @@ def check(settings: Settings, robot: RobotModel, *_: object) -> None:
         expected = "none with twin:=gazebo, whose world knows no payload; twin:=mujoco does"
         raise ConfigurationError("payload", settings.payload, expected)
     if shell.has_mass(settings):
-        extension("physics")
+        import_extension("physics")
     if is_simulated_here(settings):
         check_extras("physics")
-        extension("physics.nodes.simulated_twin").check(settings, robot)
+        import_extension("physics.nodes.simulated_twin").check(settings, robot)
 
 
 NODE = shell.NodeShell("virtual_robot", Settings, VirtualRobotNode, INTERFACE, check, fast=True)

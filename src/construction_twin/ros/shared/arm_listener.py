@@ -52,7 +52,7 @@ OTHER_POSE_AGE = 0.5
 #: A joint that is no further from a path is on it [rad] or [m]; the paddings cover that.
 ON_PATH = 0.01
 #: Plans kept: the one that is played, the one under review, and a few that were replaced meanwhile.
-_KEPT = 8
+_MAX_PLANS = 8
 
 
 class NeighbourSettings(NodeSettings):
@@ -142,7 +142,7 @@ class ArmListener:
         with self._lock:
             self._plans[plan.id], self.newest = (plan, carried), plan
             playing = "" if self._execution is None else self._execution.plan_id
-            for plan_id in [*self._plans][:-_KEPT]:
+            for plan_id in [*self._plans][:-_MAX_PLANS]:
                 if plan_id != playing:
                     del self._plans[plan_id]
 
@@ -161,7 +161,7 @@ class ArmListener:
 
 
 @dataclass(frozen=True)
-class Occupied:
+class OccupiedSpace:
     """The space that the other arm occupies: along the whole path of the plan that it follows, else where it is (`claim` None)."""
 
     claim: Claim | None
@@ -179,7 +179,7 @@ class OtherArm:
         self._rows, self._path = np.empty(0), tuple[Obstacle, ...]()
         self._known: tuple[SceneValue, str] | None = None
 
-    def occupied(self) -> Occupied:
+    def occupied(self) -> OccupiedSpace:
         """Return the space that it occupies, the same object while that is the same; NeighbourUnknownError if not known."""
         name, scene, claim = self._arm.name, self._listener.scene, self._listener.claim()
         if scene is None:
@@ -194,19 +194,19 @@ class OtherArm:
                 problem = Sentence("what it carries cannot be used: {problem}", problem=str(error))
                 raise NeighbourUnknownError(name, problem) from error
             self._rows = np.empty(0) if plan is None else plan_rows(plan)[1]
-            self._path = () if plan is None else self._shape.along(self._rows)
+            self._path = () if plan is None else self._shape.space_along(self._rows)
             self._known = known
         try:
             ends = [stream.pose(OTHER_POSE_AGE) for stream in self._poses]
         except (PoseUnknownError, PayloadError) as error:
             raise NeighbourUnknownError(name, str(error)) from error
         if claim is None:
-            return Occupied(None, self._shape.between(ends[0], ends[-1]))
+            return OccupiedSpace(None, self._shape.space_between(ends[0], ends[-1]))
         away = max(float(np.abs(self._rows - end).max(axis=1).min()) for end in ends)
         if away > ON_PATH:
             beside = Sentence("a joint is {away:.3f} beside the path of plan {plan}", away=away, plan=claim.plan_id)
             raise NeighbourUnknownError(name, beside)
-        return Occupied(claim, self._path)
+        return OccupiedSpace(claim, self._path)
 
     def claim(self) -> Claim | None:
         """Return its claim; raises like `ArmListener.claim`."""

@@ -21,11 +21,11 @@ OK = DiagnosticStatus.OK
 WARN = DiagnosticStatus.WARN
 ERROR = DiagnosticStatus.ERROR
 #: Lines kept; of more the oldest are dropped.
-LINES_KEPT = 1000
+MAX_LINES = 1000
 #: Between two lines for one reason [ns].
 PERIOD = 5 * NANOSECONDS
 #: Strangers that are known; those that come later are told of as everything else is.
-KEPT = 100
+MAX_STRANGERS = 100
 
 
 class DeferredLog:
@@ -33,7 +33,7 @@ class DeferredLog:
 
     def __init__(self):
         self._writing = threading.Lock()
-        self._lines: deque[tuple[Callable[..., None], tuple]] = deque(maxlen=LINES_KEPT)
+        self._lines: deque[tuple[Callable[..., None], tuple]] = deque(maxlen=MAX_LINES)
 
     def add(self, write: Callable[..., None], *words) -> None:
         """Keep a line; `write` is `rospy.loginfo` or one of its kind, `words` its arguments."""
@@ -57,13 +57,13 @@ class RefusalLog:
         #: How often each stranger was refused, by the sentence that names it, its stream and who may publish that.
         self._strangers: Counter[str] = Counter()
 
-    def note(self, reason: str, sentence: str) -> str | None:
-        """Count a refusal; return what to append to its line, None when none is to be written (`LineLimiter.note`)."""
+    def admit(self, reason: str, sentence: str) -> str | None:
+        """Count a refusal; return what to append to its line, None when none is to be written (`LineLimiter.admit`)."""
         with self._lock:
-            if reason == PUBLISHER and (sentence in self._strangers or len(self._strangers) < KEPT):
+            if reason == PUBLISHER and (sentence in self._strangers or len(self._strangers) < MAX_STRANGERS):
                 self._strangers[sentence] += 1
                 return "" if self._strangers[sentence] == 1 else None
-            return self._lines.note(reason, self._clock())
+            return self._lines.admit(reason, self._clock())
 
     def strangers(self) -> dict[str, int]:
         """Return how often each stranger was refused, by its sentence."""
@@ -76,14 +76,14 @@ def warn_of_refusals() -> Callable[[str, str], None]:
     log = RefusalLog()
 
     def refuse(reason: str, sentence: str) -> None:
-        if (more := log.note(reason, sentence)) is not None:
+        if (more := log.admit(reason, sentence)) is not None:
             rospy.logwarn("%s refused (%s): %s%s", rospy.get_name(), reason, sentence, more)
 
     return refuse
 
 
 @dataclass(frozen=True)
-class Report:
+class Diagnosis:
     """A node's state."""
 
     level: int
@@ -94,16 +94,16 @@ class Report:
 class NodeDiagnostics:
     """Counts refusals and reports them with a node's state, from several threads, and never has one of them wait for the log."""
 
-    def __init__(self, hardware_id: str, report: Callable[[], Report]):
+    def __init__(self, hardware_id: str, diagnose: Callable[[], Diagnosis]):
         self._lock = threading.Lock()
         self._refused: Counter[str] = Counter()
         #: The last sentence of each reason.
         self._sentences: dict[str, str] = {}
         self._log = RefusalLog()
-        self._said, self._news = DeferredLog(), threading.Event()
+        self._log_queue, self._news = DeferredLog(), threading.Event()
         threading.Thread(target=self._write, name="refusals", daemon=True).start()
-        rospy.on_shutdown(self._said.flush)
-        self._report = report
+        rospy.on_shutdown(self._log_queue.flush)
+        self._diagnose = diagnose
         self._updater = diagnostic_updater.Updater()
         # quiet at shutdown, as every publisher of ours
         self._updater.publisher = Publisher("/diagnostics", DiagnosticArray, queue_size=1)
@@ -121,15 +121,15 @@ class NodeDiagnostics:
     def refuse(self, reason: str, sentence: str) -> None:
         """Count a rejected input, and have it said in the log (`RefusalLog`) by a thread that may wait."""
         self.count(reason, sentence)
-        if (more := self._log.note(reason, sentence)) is not None:
-            self._said.add(rospy.logwarn, "%s refused (%s): %s%s", rospy.get_name(), reason, sentence, more)
+        if (more := self._log.admit(reason, sentence)) is not None:
+            self._log_queue.add(rospy.logwarn, "%s refused (%s): %s%s", rospy.get_name(), reason, sentence, more)
             self._news.set()
 
     def _write(self) -> None:
         while True:
             self._news.wait()
             self._news.clear()
-            self._said.flush()
+            self._log_queue.flush()
 
     def count(self, reason: str, sentence: str) -> None:
         """Count a rejected input that the node itself writes to its log."""
@@ -138,9 +138,9 @@ class NodeDiagnostics:
             self._sentences[reason] = sentence
 
     def _fill(self, stat):
-        report = self._report()
-        stat.summary(report.level, report.sentence)
-        for key, value in report.values.items():
+        diagnosis = self._diagnose()
+        stat.summary(diagnosis.level, diagnosis.sentence)
+        for key, value in diagnosis.values.items():
             stat.add(key, str(value))
         with self._lock:
             refused, sentences = sorted(self._refused.items()), dict(self._sentences)

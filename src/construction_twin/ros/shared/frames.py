@@ -41,7 +41,7 @@ class FrameError(PlanningError):
 #: Who publishes the frames of a robot's trees, by the tree's name, in the robot's namespace.
 PUBLISHERS = {"twin": ("robot_state_publisher", "display"), "physical": ("display",), "preview": ("display",)}
 #: Trees for people to look at, which nothing here is told of: of a simulated pose, and of where the servos should have the arm.
-SHOWN = ("simulated", "expected")
+DISPLAY_ONLY = ("simulated", "expected")
 #: Messages that are kept for a callback that is busy: about a second of three trees and of other robots'.
 _QUEUE = 100
 #: Where frames come from, those that move and those that do not.
@@ -59,34 +59,39 @@ class FrameListener:
         self._above = rosgraph.names.namespace(rospy.get_namespace())
         #: Of each frame that is of no robot's tree: the node that publishes it.
         self._owners: dict[str, str] = {}
-        takers = (partial(self._take, self.buffer.set_transform), partial(self._take, self.buffer.set_transform_static))
-        self._subscribers = [Subscriber(topic, TFMessage, take, refused, _QUEUE) for topic, take in zip(FRAMES, takers)]
+        callbacks = (
+            partial(self._on_transforms, self.buffer.set_transform),
+            partial(self._on_transforms, self.buffer.set_transform_static),
+        )
+        self._subscribers = [
+            Subscriber(topic, TFMessage, callback, refused, _QUEUE) for topic, callback in zip(FRAMES, callbacks)
+        ]
 
-    def _take(self, put: Callable, message: TFMessage) -> None:
+    def _on_transforms(self, put: Callable, message: TFMessage) -> None:
         caller = caller_of(message)
         # each once per message: a bag holds whole trees
-        problems: dict[str, None] = {}
+        refusals: dict[str, None] = {}
         with self._lock:
-            self._forget_what_lies_ahead()
+            self._clear_after_clock_reset()
             for transform in message.transforms:
                 frame = transform.child_frame_id.lstrip("/")
-                if _tree(frame)[1] in SHOWN:
+                if _tree(frame)[1] in DISPLAY_ONLY:
                     continue
-                if problem := self._problem(frame, caller):
-                    problems[problem] = None
+                if refusal := self._refusal(frame, caller):
+                    refusals[refusal] = None
                 else:
                     put(transform, caller)
-        for problem in problems:
-            self._refused(PUBLISHER, problem)
+        for refusal in refusals:
+            self._refused(PUBLISHER, refusal)
 
-    def _forget_what_lies_ahead(self) -> None:
+    def _clear_after_clock_reset(self) -> None:
         """Empty the buffer when the clock was set back: tf takes nothing that is older than what it has."""
         now = rospy.Time.now()
         if now < self._last:
             self.buffer.clear()
         self._last = now
 
-    def _problem(self, frame: str, caller: str) -> str:
+    def _refusal(self, frame: str, caller: str) -> str:
         who = caller or "a node without a name"
         robot, tree = _tree(frame)
         if tree in PUBLISHERS:
@@ -97,7 +102,7 @@ class FrameListener:
         owner = self._owners.get(frame)
         if owner == caller:
             return ""
-        if owner is None or not any(subscriber.hears(owner) for subscriber in self._subscribers):
+        if owner is None or not any(subscriber.is_connected_to(owner) for subscriber in self._subscribers):
             self._owners[frame] = caller
             return ""
         return f"message from {who}; {owner} publishes the frame {frame} on /tf: end one of the two"

@@ -34,17 +34,17 @@ FAILURES = (OSError, ValueError, http.client.HTTPException, xmlrpc.client.Error)
 
 @dataclass(frozen=True)
 class RunningNode:
-    """A node that is registered; `pid` None: it does not answer; without `tells_name` what answers may be another node."""
+    """A node that is registered; `pid` None: it does not answer; without `has_name` what answers may be another node."""
 
     name: str
     host: str
     pid: int | None
-    tells_name: bool = True
+    has_name: bool = True
 
     def __str__(self) -> str:
         if self.pid is None:
             return f"{self.name} on {self.host} (does not answer; if it has ended, `rosnode cleanup` removes it)"
-        nameless = "" if self.tells_name else " (which tells no name; if it has ended, `rosnode cleanup` removes it)"
+        nameless = "" if self.has_name else " (which tells no name; if it has ended, `rosnode cleanup` removes it)"
         return f"{self.name} on {self.host}, process {self.pid}{nameless}"
 
 
@@ -87,14 +87,14 @@ def await_master(timeout: float = TIMEOUT) -> None:
 
 def wait_for_master(name: str) -> None:
     """Return when the master answers, saying once that this takes longer; ConfigurationError where ROS_MASTER_URI is no address."""
-    said = False
+    printed = False
     while True:
         try:
             return await_master()
         except SilenceError as error:
-            if not said:
+            if not printed:
                 print(f"{name} waits: {error}", file=sys.stderr, flush=True)
-            said = True
+            printed = True
         time.sleep(_POLL)
 
 
@@ -136,22 +136,22 @@ def running(names: Iterable[str], uri: str, patience: float = NODE_TIMEOUT) -> l
         found = {name: ask(uri, TIMEOUT, "lookupNode", name) for name in names}
     except FAILURES:
         return []
-    nodes = (_asked(name, str(address), patience) for name, (code, address) in found.items() if code == 1)
+    nodes = (_query_node(name, str(address), patience) for name, (code, address) in found.items() if code == 1)
     return [node for node in nodes if node is not None]
 
 
-def _asked(name: str, address: str, patience: float) -> RunningNode | None:
+def _query_node(name: str, address: str, patience: float) -> RunningNode | None:
     host = urllib.parse.urlsplit(address).hostname or address
     try:
         _, pid = ask(address, patience, "getPid")
         try:
-            code, told = ask(address, patience, "getName")
+            code, answered_name = ask(address, patience, "getName")
         except xmlrpc.client.Fault:
-            code, told = -1, ""  # roscpp has no such question
+            code, answered_name = -1, ""  # roscpp has no such question
     except ConnectionRefusedError:
         return None
     except FAILURES:
         return RunningNode(name, host, None)
-    if code == 1 and told != name:
+    if code == 1 and answered_name != name:
         return None
-    return RunningNode(name, host, int(pid), tells_name=code == 1)
+    return RunningNode(name, host, int(pid), has_name=code == 1)

@@ -10,12 +10,12 @@ import rospy
 from paho.mqtt.client import MQTTMessage
 
 from construction_twin.mqtt.client import Broker, load_account, subscriptions
-from construction_twin.mqtt.failures import ConnectionReport
+from construction_twin.mqtt.failures import ConnectionLog
 from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.node_shell import Shared
 from construction_twin.ros.shared.params import NodeSettings
-from construction_twin.ros.shared.start_refusal import launch
+from construction_twin.ros.shared.start_refusal import launch_id
 
 #: How long a node waits before it says that the broker is gone [s]: one Ctrl-C ends both, and the broker is often first.
 GRACE = 1.0
@@ -41,12 +41,12 @@ def check_broker(settings: MqttSettings, _robot: RobotModel, _shared: Shared) ->
     broker_of(settings)
 
 
-def report_of(broker: Broker) -> ConnectionReport:
-    """Return a report that goes to the node's log, from a thread that may wait for a disk; in a launch `startup` says the first."""
-    return ConnectionReport(broker, _say_later, first=not launch())
+def connection_log(broker: Broker) -> ConnectionLog:
+    """Return a log that writes to the node's, in a thread that may wait for a disk; in a launch `startup` logs the first."""
+    return ConnectionLog(broker, _log_later, first=not launch_id())
 
 
-def _say_later(sentence: str) -> None:
+def _log_later(sentence: str) -> None:
     timer = threading.Timer(GRACE, lambda: rospy.is_shutdown() or rospy.logerr("%s", sentence))
     timer.daemon = True
     timer.start()
@@ -55,7 +55,7 @@ def _say_later(sentence: str) -> None:
 def connect(
     client: FastClient,
     broker: Broker,
-    report: ConnectionReport,
+    log: ConnectionLog,
     topics: Sequence[tuple[str, int]],
     first: Callable[[], tuple[str, bytes, bool]],
     on_message: Mapping[str, Callable[[MQTTMessage], None]],
@@ -72,27 +72,27 @@ def connect(
 
     def on_connect(client, _userdata, _flags, reason_code, properties) -> None:
         if reason_code.is_failure:
-            report.refused(reason_code)
+            log.refused(reason_code)
             return
-        report.connected(client, properties)
+        log.connected(client, properties)
         topic, payload, retain = first()
         client.subscribe(subscriptions(topics))
         info = client.publish(topic, payload, qos=1, retain=retain)
-        report.watch_publish(client, topic, info.mid)
+        log.watch_publish(client, topic, info.mid)
         then()
 
     def on_disconnect(_client, _userdata, _flags, reason_code, _properties) -> None:
-        report.lost(reason_code)
+        log.lost(reason_code)
         lost()
 
-    report.watch(client)
+    log.watch(client)
     client.on_connect = on_connect
     client.on_disconnect = on_disconnect
-    for topic, take in on_message.items():
-        client.message_callback_add(topic, _alone(take))
+    for topic, handler in on_message.items():
+        client.message_callback_add(topic, _message_only(handler))
     client.connect_async(broker.host, broker.port, broker.keepalive)
     client.loop_start()
 
 
-def _alone(take: Callable[[MQTTMessage], None]) -> Callable[[object, object, MQTTMessage], None]:
-    return lambda _client, _data, message: take(message)
+def _message_only(handler: Callable[[MQTTMessage], None]) -> Callable[[object, object, MQTTMessage], None]:
+    return lambda _client, _data, message: handler(message)

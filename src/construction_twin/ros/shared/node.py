@@ -61,7 +61,7 @@ def run_node(name: str, start: Callable[[], object], refused: Callable[[str], ob
 
 def _serve(name: str, start: Callable[[], object], refused: Callable[[str], object]) -> None:
     threading.excepthook = end_on_error
-    _report_lines_that_cannot_be_written()
+    _send_unwritten_lines_to_stderr()
     try:
         try:
             expect_wall_clock(rosgraph.get_master_uri())
@@ -119,17 +119,17 @@ def ending_on_signals() -> Iterator[None]:
         os.close(to_signals)
 
 
-def _report_lines_that_cannot_be_written() -> None:
-    """Have a log line that a full disk refuses told on standard error: rosgraph's handler raises it."""
+def _send_unwritten_lines_to_stderr() -> None:
+    """Send a log line that a full disk refuses to standard error: rosgraph's handler raises it."""
     emit = RosStreamHandler.emit
 
-    def emit_or_report(self: RosStreamHandler, record: logging.LogRecord) -> None:
+    def emit_or_handle(self: RosStreamHandler, record: logging.LogRecord) -> None:
         try:
             emit(self, record)
         except OSError:
             self.handleError(record)
 
-    RosStreamHandler.emit = emit_or_report
+    RosStreamHandler.emit = emit_or_handle
 
 
 def end_on_error(args: threading.ExceptHookArgs) -> None:
@@ -139,12 +139,12 @@ def end_on_error(args: threading.ExceptHookArgs) -> None:
     where = args.thread.name if args.thread is not None else "a thread that has ended"
     if rospy.core.is_shutdown_requested():
         # topics and sockets are closed below the threads that use them
-        _write_down(where, args.exc_value, "during shutdown")
+        _log_exception(where, args.exc_value, "during shutdown")
         return
     # the process ends in any case: also when the line cannot be made, or a log file lies on a disk that hangs
-    _end_in(WRITE_TIME)
+    _exit_after(WRITE_TIME)
     try:
-        _write_down(where, args.exc_value, "this process ends")
+        _log_exception(where, args.exc_value, "this process ends")
     finally:
         os._exit(UNFORESEEN)
 
@@ -159,20 +159,20 @@ class Service(rospy.Service):
         if rospy.core.is_shutdown_requested():
             return
         # rospy sends the answer when this returns
-        _end_in(WRITE_TIME)
+        _exit_after(WRITE_TIME)
         try:
-            _write_down(f"service {self.resolved_name}", error, "this process ends")
+            _log_exception(f"service {self.resolved_name}", error, "this process ends")
         finally:
-            _end_in(ANSWER_TIME)
+            _exit_after(ANSWER_TIME)
 
 
-def _end_in(seconds: float) -> None:
+def _exit_after(seconds: float) -> None:
     end = threading.Timer(seconds, os._exit, (UNFORESEEN,))
     end.daemon = True
     end.start()
 
 
-def _write_down(where: str, error: BaseException | None, what_follows: str) -> None:
+def _log_exception(where: str, error: BaseException | None, what_follows: str) -> None:
     trace = "".join(traceback.format_exception(error)) if error is not None else ""
     rospy.logfatal("%s: an unexpected exception in %s, %s: %r\n%s", rospy.get_name(), where, what_follows, error, trace)
     sys.stderr.flush()

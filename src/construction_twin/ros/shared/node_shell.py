@@ -1,4 +1,4 @@
-"""A robot's node: its parameters, their check, and all that it has to do with ROS, as data; `Ports` opens that."""
+"""A robot's node: its parameters, their check, and all that it has to do with ROS, as data; `NodeIO` opens that."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from sensor_msgs.msg import JointState
 from construction_twin.core.errors import ConstructionTwinError, ExpiredError, ProtocolError
 from construction_twin.core.freshness import TOO_OLD
 from construction_twin.robot.description import RobotModel
-from construction_twin.ros.shared.diagnostics import WARN, NodeDiagnostics, Report
+from construction_twin.ros.shared.diagnostics import WARN, Diagnosis, NodeDiagnostics
 from construction_twin.ros.shared.node import Service, run_node
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import Parameters, Settings, read_parameters, robot_from_parameters
 from construction_twin.ros.shared.start_refusal import expect_own_parameters, refuse
 from construction_twin.ros.transport.joint_stream import QUEUE, JointPublisher, JointSubscriber
 from construction_twin.ros.transport.latest_pose import LatestPose
-from construction_twin.ros.transport.publisher import Publisher, Sink
+from construction_twin.ros.transport.publisher import AnyPublisher, Publisher
 from construction_twin.ros.transport.subscriber import Subscriber
 
 _Topic = TypeVar("_Topic", bound="Publication | PosePublication | Subscription | PoseSubscription")
@@ -56,11 +56,11 @@ def knows_servos(settings: Any) -> bool:
 
 @dataclass(frozen=True)
 class SharedParameter:
-    """A parameter of the robot, read once before the node is made; `kept`: the node writes it for the process after it."""
+    """A parameter of the robot, read once before the node is made; `written`: the node writes it for the process after it."""
 
     name: str
     default: object = None
-    kept: bool = False
+    written: bool = False
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Publication:
     tcp_nodelay: bool = False
     when: When = always
 
-    def open(self, _robot: RobotModel) -> Sink | None:
+    def open(self, _robot: RobotModel) -> AnyPublisher | None:
         """Return the publisher; None where its kind is not installed."""
         kind = self._installed(self.kind) if isinstance(self.kind, str) else self.kind
         if kind is None:
@@ -101,7 +101,7 @@ class PosePublication:
     kind: type = JointState
     when: When = always
 
-    def open(self, robot: RobotModel) -> Sink:
+    def open(self, robot: RobotModel) -> AnyPublisher:
         """Return the publisher."""
         return JointPublisher(self.topic, robot.joint_names, self.kind)
 
@@ -139,8 +139,8 @@ class PoseSubscription:
 
 
 @dataclass(frozen=True)
-class NewestPose:
-    """Poses of which the node asks for the newest, now and then: see `LatestPose`."""
+class PolledPose:
+    """A topic of poses, of which the node polls the newest (`LatestPose`)."""
 
     topic: str
     when: When = always
@@ -172,8 +172,8 @@ class Served:
 
 
 @dataclass(frozen=True)
-class Every:
-    """What the node does again and again: `period` takes its parameters [s], `act` the node."""
+class NodeTimer:
+    """A timer of the node: `period` takes its parameters [s], `act` the node."""
 
     period: Callable[[Any], float]
     act: Callable[[Any], object]
@@ -181,23 +181,23 @@ class Every:
 
 @dataclass(frozen=True)
 class Interface:
-    """All that a node has to do with ROS; `listeners`: topics that collaborators hear; without `report` it refuses nothing."""
+    """All that a node has to do with ROS; `listeners`: topics that collaborators hear; without `diagnose` it refuses nothing."""
 
-    report: Callable[[Any], Report] | None = None
+    diagnose: Callable[[Any], Diagnosis] | None = None
     parameters: tuple[SharedParameter, ...] = ()
     publishes: tuple[Publication | PosePublication, ...] = ()
-    reads: tuple[NewestPose, ...] = ()
-    hears: tuple[Subscription | PoseSubscription, ...] = ()
+    polls: tuple[PolledPose, ...] = ()
+    subscribes: tuple[Subscription | PoseSubscription, ...] = ()
     listeners: tuple[str, ...] = ()
     serves: tuple[Served, ...] = ()
-    every: tuple[Every, ...] = ()
+    timers: tuple[NodeTimer, ...] = ()
 
     def shared(self, parameters: Parameters) -> dict[str, Any]:
         """Return the values of the shared parameters, by name."""
         return {each.name: parameters.get_param(each.name, each.default) for each in self.parameters}
 
 
-class Ports:
+class NodeIO:
     """A node's topics and services, opened in an order in which nothing comes before somebody can take it.
 
     What it publishes and asks for is there before it is made, what it hears after that, what it serves last. `parameters`: the
@@ -209,12 +209,14 @@ class Ports:
         self._node: object = None
         self.parameters = interface.shared(rospy)
         self._diagnostics = None
-        if interface.report is not None:
-            self._diagnostics = NodeDiagnostics(robot.name, self._report)
+        if interface.diagnose is not None:
+            self._diagnostics = NodeDiagnostics(robot.name, self._diagnose)
         opened = ((each.topic, each.open(robot)) for each in interface.publishes if each.when(settings))
-        self.publishers: dict[str, Sink] = {topic: publisher for topic, publisher in opened if publisher is not None}
-        reads = [each.topic for each in interface.reads if each.when(settings)]
-        self.poses = {topic: LatestPose(topic, robot.joint_names, self.diagnostics.refuse) for topic in reads}
+        self.publishers: dict[str, AnyPublisher] = {
+            topic: publisher for topic, publisher in opened if publisher is not None
+        }
+        polls = [each.topic for each in interface.polls if each.when(settings)]
+        self.poses = {topic: LatestPose(topic, robot.joint_names, self.diagnostics.refuse) for topic in polls}
         self._subscribers: dict[str, Subscriber] = {}
 
     @property
@@ -223,41 +225,41 @@ class Ports:
         assert self._diagnostics is not None  # it reports
         return self._diagnostics
 
-    def keeper(self, name: str) -> Callable[[Any], None]:
-        """Return what writes a shared parameter that is `kept`; it may take as long as the master does."""
-        assert any(each.kept for each in self._interface.parameters if each.name == name), name
+    def parameter_writer(self, name: str) -> Callable[[Any], None]:
+        """Return the writer of a shared parameter that is `written`; it may take as long as the master does."""
+        assert any(each.written for each in self._interface.parameters if each.name == name), name
         return partial(rospy.set_param, name)
 
     def connect(self, node: object) -> None:
         """Open what the node hears, what it serves, and what it does again and again."""
         self._node = node
-        for each in self._interface.hears:
+        for each in self._interface.subscribes:
             if each.when(self._settings):
                 opened = each.open(MethodType(each.handler, node), self._robot, self.diagnostics.refuse)
                 if isinstance(opened, Subscriber):
                     self._subscribers[each.topic] = opened
         for served in self._interface.serves:
             Service(served.name, served.kind, partial(served.answer, node, self.diagnostics.refuse))
-        for timer in self._interface.every:
-            rospy.Timer(rospy.Duration(timer.period(self._settings)), self._doing(timer.act))
+        for timer in self._interface.timers:
+            rospy.Timer(rospy.Duration(timer.period(self._settings)), self._timer_callback(timer.act))
 
     def connections(self, topic: str) -> int:
         """Return how many publishers of a topic that is heard are connected; before it is heard, none."""
         subscriber = self._subscribers.get(topic)
         return subscriber.get_num_connections() if subscriber is not None else 0
 
-    def stop_hearing(self, topic: str) -> None:
-        """Hear no more of a topic."""
+    def unsubscribe(self, topic: str) -> None:
+        """Unsubscribe from a topic."""
         self._subscribers.pop(topic).unregister()
 
-    def _doing(self, act: Callable[[Any], object]) -> Callable[[object], object]:
+    def _timer_callback(self, act: Callable[[Any], object]) -> Callable[[object], object]:
         # once this node is asked to end, what stays away is no news: the others end as well
         return lambda _event: rospy.core.is_shutdown_requested() or act(self._node)
 
-    def _report(self) -> Report:
-        if self._node is None or self._interface.report is None:
-            return Report(WARN, "this node starts")
-        return self._interface.report(self._node)
+    def _diagnose(self) -> Diagnosis:
+        if self._node is None or self._interface.diagnose is None:
+            return Diagnosis(WARN, "this node starts")
+        return self._interface.diagnose(self._node)
 
 
 @dataclass(frozen=True)
@@ -269,13 +271,13 @@ class NodeShell(Generic[Settings]):
 
     name: str
     settings: type[Settings]
-    start: Callable[[Settings, RobotModel, Ports], object]
+    start: Callable[[Settings, RobotModel, NodeIO], object]
     interface: Interface
     check: Callable[[Settings, RobotModel, Shared], object] = lambda *_: None
     fast: bool = False
     refused: Callable[[str], object] = refuse
 
-    def checked(self, parameters: Parameters = rospy) -> tuple[Settings, RobotModel]:
+    def checked_parameters(self, parameters: Parameters = rospy) -> tuple[Settings, RobotModel]:
         """Return what the node starts with; raise the ConstructionTwinError that it is refused for."""
         settings, robot = read_parameters(self.settings, parameters), robot_from_parameters(parameters=parameters)
         self.check(settings, robot, self.interface.shared(parameters))
@@ -288,13 +290,13 @@ class NodeShell(Generic[Settings]):
         run_node(self.name, self._start, self.refused)
 
     def _start(self) -> object:
-        found = self.checked()
+        found = self.checked_parameters()
         expect_own_parameters()
         return self.open(*found)
 
     def open(self, settings: Settings, robot: RobotModel) -> Any:
         """Return the node, with all that it has to do with ROS."""
-        ports = Ports(self.interface, settings, robot)
-        node = self.start(settings, robot, ports)
-        ports.connect(node)
+        node_io = NodeIO(self.interface, settings, robot)
+        node = self.start(settings, robot, node_io)
+        node_io.connect(node)
         return node

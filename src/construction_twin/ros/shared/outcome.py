@@ -28,8 +28,8 @@ class Outcome:
 
     def response(self, kind: Any) -> Any:
         """Return the response of a kind of service; what it has no field for is left out."""
-        made = kind._response_class(success=self.success, message=self.message)
+        response = kind._response_class(success=self.success, message=self.message)
         for name, value in {"expired": self.expired, **self.fields}.items():
-            if hasattr(made, name):
-                setattr(made, name, value)
-        return with_sentences(made, self.message)
+            if hasattr(response, name):
+                setattr(response, name, value)
+        return with_sentences(response, self.message)

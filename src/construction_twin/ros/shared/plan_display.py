@@ -25,7 +25,7 @@ from construction_twin.ros.messages.display_markers import (
 )
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.node_shell import Ports
+from construction_twin.ros.shared.node_shell import NodeIO
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
@@ -39,11 +39,11 @@ PLAN_TIMEOUT = 1.0
 class PlanDisplay:
     """ROS around a Preview; `tf_prefix`: of the ghost's frames."""
 
-    def __init__(self, robot: RobotModel, shapes: list[Marker], tf_prefix: str, ports: Ports):
+    def __init__(self, robot: RobotModel, shapes: list[Marker], tf_prefix: str, node_io: NodeIO):
         self._robot, self._shapes, self._tf_prefix = robot, shapes, tf_prefix
         self._chain = Chain(robot)
-        self._markers = ports.publishers["plan_markers"]
-        self._refuse = ports.diagnostics.refuse
+        self._markers = node_io.publishers["plan_markers"]
+        self._refuse = node_io.diagnostics.refuse
         self._preview = Preview()
         self._scene: Scene | None = None
         self._changes: dict[str, tuple[SceneChange, ...]] = {}

@@ -52,7 +52,7 @@ class RobotListener:
         self._newest: dict[str, object] = {}
         self._plan: PlanValue | None = None
         self.refused = ""
-        self._heard: dict[str, float] = {}
+        self._received_at: dict[str, float] = {}
         self._reports = {name: self._subscribe(name, kind) for name, kind in _REPORTS.items()}
 
     def wait(self, condition: Callable[[], object], timeout: float | None) -> bool:
@@ -103,10 +103,10 @@ class RobotListener:
             newest = dict(self._newest)
             plan = self.under_review()
             now = time.monotonic()
-            ages = {name: now - self._heard.get(name, now) for name in SILENT}
+            ages = {name: now - self._received_at.get(name, now) for name in SILENT}
             silent = {name: age for name, age in ages.items() if age > SILENT[name]}
         if "execution" in newest and not self.publishers("execution"):
-            silent["execution"] = now - self._heard["execution"]
+            silent["execution"] = now - self._received_at["execution"]
         return Snapshot(
             robot=self._namespace.strip("/"),
             joints=self._robot.joint_names,
@@ -130,7 +130,7 @@ class RobotListener:
             except ConstructionTwinError as error:
                 refused = str(error)
         with self._news:
-            self._newest[name], self._heard[name] = message, time.monotonic()
+            self._newest[name], self._received_at[name] = message, time.monotonic()
             if name == "plan":
                 self._plan, self.refused = plan, refused
             self._news.notify_all()

@@ -22,10 +22,10 @@ TOPIC = "start_refused"
 #: Variable that bringup.launch gives to its nodes, and parameter of the robot: which roslaunch it is of.
 VARIABLE, PARAMETER = "CONSTRUCTION_TWIN_LAUNCH", "launch"
 #: After that a node that cannot start ends, and is started again [s].
-AGAIN = 10.0
+RESTART_DELAY = 10.0
 
 
-def launch() -> str:
+def launch_id() -> str:
     """Return which roslaunch started this process; empty: none, or a launch file of somebody else's."""
     return os.environ.get(VARIABLE, "")
 
@@ -37,7 +37,7 @@ def expect_no_other(name: str) -> None:
     own, startup = (rosgraph.names.ns_join(rosgraph.names.get_ros_namespace(), each) for each in (name, "startup"))
     # what all nodes of a second launch find alike comes first
     others = [
-        node for node in running([startup] if launch() else [], uri) if node.pid is not None and not _is_beside(node)
+        node for node in running([startup] if launch_id() else [], uri) if node.pid is not None and not _is_beside(node)
     ]
     found = others or running([own], uri)
     if found:
@@ -47,46 +47,46 @@ def expect_no_other(name: str) -> None:
 
 def _is_beside(node: RunningNode) -> bool:
     try:
-        return f"{VARIABLE}={launch()}".encode() in Path(f"/proc/{node.pid}/environ").read_bytes().split(b"\0")
+        return f"{VARIABLE}={launch_id()}".encode() in Path(f"/proc/{node.pid}/environ").read_bytes().split(b"\0")
     except OSError:
         return False  # of another machine, or user
 
 
-def become_alone() -> None:
-    """Become the program that this one's words name, unless a node of its name runs: for stock nodes of a launch."""
+def exec_unless_running() -> None:
+    """Execute the program that this one's words name, unless a node of its name runs: for stock nodes of a launch."""
 
-    def become() -> None:
+    def exec_program() -> None:
         expect_no_other("")
         os.execvp(sys.argv[1], sys.argv[1:])
 
-    run_program(rosgraph.names.load_mappings(sys.argv).get("__name", "alone"), become)
+    run_program(rosgraph.names.load_mappings(sys.argv).get("__name", "alone"), exec_program)
 
 
 def expect_own_parameters() -> None:
     """Raise a ConfigurationError where a later launch has replaced the robot's parameters."""
     import rospy
 
-    if launch() and rospy.get_param(PARAMETER, launch()) != launch():
+    if launch_id() and rospy.get_param(PARAMETER, launch_id()) != launch_id():
         found = f"parameters of another launch in {rospy.get_namespace()}"
         expected = "this one's: when the arm stands, end both launches, and start one"
         raise ConfigurationError(rospy.resolve_name(PARAMETER), found, expected)
 
 
 def refuse(sentence: str, log: bool = True) -> NoReturn:
-    """Publish why this node cannot start, print it into a `log` file, and end after `AGAIN`; started by hand, at once."""
+    """Publish why this node cannot start, print it into a `log` file, and end after `RESTART_DELAY`; started by hand, at once."""
     import rospy
 
     from construction_twin.msg import StartRefused
 
-    if not launch():
+    if not launch_id():
         sys.exit(f"{rospy.get_name()} cannot start: {sentence}")
     publisher = rospy.Publisher(TOPIC, StartRefused, queue_size=1, latch=True)
-    publisher.publish(launch(), sentence)
+    publisher.publish(launch_id(), sentence)
     if log:
         print(f"cannot start: {sentence}", flush=True)
     ended = threading.Event()
     rospy.on_shutdown(ended.set)
-    ended.wait(AGAIN)
+    ended.wait(RESTART_DELAY)
     sys.exit(0)
 
 
@@ -95,7 +95,7 @@ def run_program(name: str, main: Callable[[], int | None]) -> NoReturn:
     try:
         sys.exit(main())
     except ConstructionTwinError as error:
-        if not launch():
+        if not launch_id():
             sys.exit(f"{name}: {error}")
         import rospy
 

@@ -50,7 +50,7 @@ class ToolMarkerMenu:
         under_review: Callable[[], Plan | None],
         home: Sequence[float],
         reviewer: str,
-        say: Callable[[str], None],
+        show_text: Callable[[str], None],
         run: Callable[[str, Callable[[], None]], None] = in_thread,
     ):
         self._client = client
@@ -59,7 +59,7 @@ class ToolMarkerMenu:
         self.goal: Pose | None = None
         self._dragging = threading.Lock()
         self._reviewer = reviewer
-        self._say = say
+        self._show_text = show_text
         self._run = run
         self._planning = threading.Lock()
         # the plan that the operator sees, empty: none, and since when [s, monotonic]
@@ -107,20 +107,20 @@ class ToolMarkerMenu:
 
     def choose(self, title: str) -> None:
         """Carry out an entry, and tell the operator how it ended."""
-        self._run(title, lambda: self._do(title))
+        self._run(title, lambda: self._carry_out(title))
 
-    def _do(self, title: str) -> None:
-        self._say(f"{title} ...")
+    def _carry_out(self, title: str) -> None:
+        self._show_text(f"{title} ...")
         try:
             sentence = self._actions[title]().message
         except ConstructionTwinError as error:
             rospy.logwarn("%s: %s", title, error)
-            self._say(f"{title}: {error}")
+            self._show_text(f"{title}: {error}")
             return
         except rospy.ROSInterruptException:
             return  # the node ends
         rospy.loginfo("%s: %s", title, sentence)
-        self._say(f"{title}: {sentence}")
+        self._show_text(f"{title}: {sentence}")
 
     def _plan(self, request: Callable[[], GoalRequest]) -> Outcome:
         if not self._planning.acquire(blocking=False):

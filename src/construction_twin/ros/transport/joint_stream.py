@@ -26,21 +26,21 @@ class PoseMessage:
     """Writes and reads the messages of one type, JointState or Feedback, and one robot, each in one step.
 
     genpy goes through a message field by field: on the 250 Hz path a third of a node's work. Only numbers change from one message
-    of a stream to the next; they are packed between bytes that are made once. `received` is a class for `rospy.Subscriber` with the
+    of a stream to the next; they are packed between bytes that are made once. `incoming_class` is for `rospy.Subscriber`, with the
     ``content`` that `read` returns; genpy fills the fields in where that is None, or when one is read.
     """
 
     def __init__(self, kind: type, names: tuple[str, ...]):
         self._kind = kind
-        self._names = _between(names)
+        self._names = _names_section(names)
         self._struct = struct.Struct(f"<3I{len(self._names)}s{len(names)}d{_TAILS[kind]}")
         self._joints = slice(4, 4 + len(names))
-        self.received = _received_class(kind, self.read)
-        self._sent_class = _sent_class(kind, self.write)
+        self.incoming_class = _incoming_class(kind, self.read)
+        self._outgoing_class = _outgoing_class(kind, self.write)
 
-    def sent(self, stamp: int, q: tuple[float, ...], seq: int = 0, command_stamp: int = 0):
+    def outgoing_message(self, stamp: int, q: tuple[float, ...], seq: int = 0, command_stamp: int = 0):
         """Return a message to publish; see `write`."""
-        return self._sent_class(stamp, q, seq, command_stamp)
+        return self._outgoing_class(stamp, q, seq, command_stamp)
 
     def write(self, number: int, stamp: int, q: tuple[float, ...], seq: int, command_stamp: int) -> bytes:
         """Return a message's bytes; `number`: the header's ``seq``, stamps in ns, `q` [rad], [m] in the order of the names."""
@@ -61,14 +61,14 @@ class PoseMessage:
         return (*content, tail[0], tail[1] * NANOSECONDS + tail[2])
 
 
-def _between(names: tuple[str, ...]) -> bytes:
+def _names_section(names: tuple[str, ...]) -> bytes:
     """Return what stands between a message's stamp and its first position: an empty frame, the names, how many positions."""
     count = struct.pack("<I", len(names))
     encoded = [name.encode() for name in names]
     return bytes(4) + count + b"".join(struct.pack("<I", len(name)) + name for name in encoded) + count
 
 
-def _received_class(kind: Any, read) -> type:
+def _incoming_class(kind: Any, read) -> type:
     class Received(kind):
         def __init__(self):
             self.content = self._data = None
@@ -97,7 +97,7 @@ def _received_class(kind: Any, read) -> type:
     return Received
 
 
-def _sent_class(kind: Any, write) -> type:
+def _outgoing_class(kind: Any, write) -> type:
     class Sent(kind):
         # rospy writes a message's number here, under its topic's lock, right before it has the message written
         header = Header()
@@ -162,12 +162,12 @@ class JointPublisher:
 
     def publish(self, stamp: int, q: tuple[float, ...], seq: int = 0, command_stamp: int = 0) -> None:
         """Publish a pose [rad] with its stamp [ns]; as feedback also with the gateway's counter and the command's stamp [ns]."""
-        self._publisher.publish(self._message.sent(stamp, q, seq, command_stamp))
+        self._publisher.publish(self._message.outgoing_message(stamp, q, seq, command_stamp))
 
     @property
-    def is_heard(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Whether a subscriber is connected."""
-        return self._publisher.is_heard
+        return self._publisher.has_subscribers
 
 
 class JointSubscriber:
@@ -189,10 +189,10 @@ class JointSubscriber:
         self._names = names
         self._pause = pause
         self._callback = callback
-        message = PoseMessage(kind, names).received
-        self._subscriber = Subscriber(topic, message, self._take, refused, queue_size, tcp_nodelay=True)
+        message = PoseMessage(kind, names).incoming_class
+        self._subscriber = Subscriber(topic, message, self._on_message, refused, queue_size, tcp_nodelay=True)
 
-    def _take(self, message) -> None:
+    def _on_message(self, message) -> None:
         # of another subscriber of this process, which was first, it has the class
         content = getattr(message, "content", None) or self._read(message)
         if not all(map(math.isfinite, content[1])):

@@ -11,11 +11,11 @@ import rospy
 from rospy.exceptions import TransportException, TransportTerminated
 
 
-class Sink(Protocol):
+class AnyPublisher(Protocol):
     """A publisher as nodes use it."""
 
     @property
-    def is_heard(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Whether a subscriber is connected."""
 
     def publish(self, *content) -> None:
@@ -33,7 +33,7 @@ class Publisher(rospy.Publisher):
         self.impl.add_connection = lambda connection: add_connection(DirectConnection(connection, queue_size))
 
     @property
-    def is_heard(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Whether a subscriber is connected."""
         return self.get_num_connections() > 0
 

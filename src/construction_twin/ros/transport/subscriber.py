@@ -70,8 +70,8 @@ def caller_of(message) -> str:
     return message._connection_header.get("callerid", "")
 
 
-def hand_on_error() -> None:
-    """Hand the exception that is being handled to `threading.excepthook`, as if it had not been caught in this thread."""
+def report_uncaught() -> None:
+    """Report the handled exception to `threading.excepthook`, as if nobody had caught it."""
     threading.excepthook(threading.ExceptHookArgs((*sys.exc_info(), threading.current_thread())))
 
 
@@ -106,7 +106,7 @@ class Subscriber:
             return self._subscriber.get_num_connections()
         return sum(connection.callerid_pub == self.publisher for connection in self._subscriber.impl.connections)
 
-    def hears(self, name: str) -> bool:
+    def is_connected_to(self, name: str) -> bool:
         """Return whether the node of this resolved name is connected now."""
         return any(connection.callerid_pub == name for connection in self._subscriber.impl.connections)
 
@@ -126,4 +126,4 @@ class Subscriber:
         except ProtocolError as error:
             self._refused(error.reason, str(error))
         except Exception:  # noqa: BLE001 (handed on to the excepthook)
-            hand_on_error()
+            report_uncaught()

@@ -16,15 +16,15 @@ from functools import partial
 import rospy
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.extensions.console.nodes.endpoint import REPEATED, Connection, Incoming, RequestQueue
+from construction_twin.extensions.console.nodes.endpoint import REPEATED, Connection, IncomingRequest, RequestQueue
 from construction_twin.link.requests import (
     AnswerRequest,
+    ButtonPress,
     LowerSpeed,
     NamelessVerdict,
     Override,
-    Pressed,
-    PressedAsSeen,
     RaiseSpeed,
+    StampedButtonPress,
     Verdict,
 )
 from construction_twin.mqtt import requests
@@ -82,7 +82,7 @@ class Acts:
         self._connection, self._services = connection, services
         names = ("reject", "answer", *(kind.name for kind in (LOWER_SPEED, RAISE_SPEED, *PRESSED)))
         self.queues = {name: RequestQueue(WAITING) for name in names}
-        serve, verdicts = connection.serve, _Approvals(self.queues["reject"])
+        serve, verdicts = connection.serve, _ApprovalQueue(self.queues["reject"])
         self.queues["approve"] = verdicts
         serve(NAMELESS_REVIEW, NamelessVerdict, self._give_verdict, verdicts)
         serve(REVIEW, Verdict, self._give_verdict, verdicts)
@@ -90,7 +90,7 @@ class Acts:
         for kind in PRESSED:
             # each verb remembers its own: the thread of another one may not add to what is looked through
             act = partial(self._start, deque(maxlen=MEMORY)) if kind.starts else self._brake
-            serve(kind, PressedAsSeen if kind.starts else Pressed, act, self.queues[kind.name])
+            serve(kind, StampedButtonPress if kind.starts else ButtonPress, act, self.queues[kind.name])
         serve(ANSWER, AnswerRequest, self._give_answer, self.queues["answer"])
         serve(LOWER_SPEED, LowerSpeed, self._set_speed, self.queues[LOWER_SPEED.name])
         serve(RAISE_SPEED, RaiseSpeed, self._set_speed, self.queues[RAISE_SPEED.name])
@@ -109,7 +109,7 @@ class Acts:
                     service.open()
             time.sleep(CONNECT_PERIOD)
 
-    def _give_verdict(self, verdict: Verdict, request: Incoming) -> Outcome:
+    def _give_verdict(self, verdict: Verdict, request: IncomingRequest) -> Outcome:
         if not request.account and self._connection.proves_accounts:
             raise PayloadError(
                 "sender",
@@ -123,7 +123,7 @@ class Acts:
         # over the connection that is open, as a stop
         return Outcome.of(call_twice(self._services.reject, EXECUTOR, **fields))
 
-    def _start(self, known: deque[tuple[str, str]], wanted: Pressed, request: Incoming) -> Outcome:
+    def _start(self, known: deque[tuple[str, str]], wanted: ButtonPress, request: IncomingRequest) -> Outcome:
         kind, names = request.kind, (request.account, wanted.id)
         if names in known:
             # it must not start again what was paused since
@@ -133,32 +133,32 @@ class Acts:
         fields = {"act": kind.name, "person": request.account, "moment": wanted.moment}
         return Outcome.of(call(self._services.pressed[kind.name], _PROGRAMS[kind.by], **fields))
 
-    def _brake(self, _wanted: Pressed, request: Incoming) -> Outcome:
+    def _brake(self, _wanted: ButtonPress, request: IncomingRequest) -> Outcome:
         kind, fields = request.kind, {"act": request.kind.name, "person": request.account}
         return Outcome.of(call_twice(self._services.pressed[kind.name], _PROGRAMS[kind.by], **fields))
 
-    def _give_answer(self, asked: AnswerRequest, request: Incoming) -> Outcome:
+    def _give_answer(self, asked: AnswerRequest, request: IncomingRequest) -> Outcome:
         fields = {"task": asked.task, "question": asked.question, "answer": asked.answer, "person": request.account}
         return Outcome.of(call(self._services.decide, "the work", decision="answer", reason="by MQTT", **fields))
 
-    def _set_speed(self, asked: LowerSpeed | RaiseSpeed, request: Incoming) -> Outcome:
+    def _set_speed(self, asked: LowerSpeed | RaiseSpeed, request: IncomingRequest) -> Outcome:
         fields = {"limit": asked.limit, "person": request.account, "moment": asked.moment}
         return Outcome.of(call_twice(self._services.limit_speed, "pca_monitor", **fields))
 
 
-class _Approvals(RequestQueue):
+class _ApprovalQueue(RequestQueue):
     """Where approvals wait; a rejection among the verdicts waits elsewhere."""
 
     def __init__(self, rejections: RequestQueue):
         super().__init__(WAITING)
         self._rejections = rejections
 
-    def take(self, request: Incoming) -> None:
-        """Let a verdict wait in its queue."""
+    def enqueue(self, request: IncomingRequest) -> None:
+        """Put a verdict into its queue."""
         if request.asked.verdict == "rejected":
-            self._rejections.take(request)
+            self._rejections.enqueue(request)
         else:
-            super().take(request)
+            super().enqueue(request)
 
 
 def _run_queue(queue: RequestQueue) -> None:

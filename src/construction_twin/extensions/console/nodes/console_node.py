@@ -30,13 +30,13 @@ from construction_twin.mqtt.requests import BRIDGE, PRESSED
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.messages.plan_services import PLAN_SERVICES
-from construction_twin.ros.shared.diagnostics import OK, WARN, Report
+from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, check_broker
 from construction_twin.ros.shared.node_shell import (
     Interface,
-    NewestPose,
+    NodeIO,
     NodeShell,
-    Ports,
+    PolledPose,
     SharedParameter,
     Subscription,
 )
@@ -71,16 +71,16 @@ class Settings(MqttSettings):
 class ConsoleNode:
     """The parts of the node, and the threads in which they work."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: NodeIO):
         self._settings = settings
         joints, topics = Joints(tuple(robot.joint_names), tuple(robot.linear)), Topics(settings.prefix, robot.name)
-        broker, refuse = broker_of(settings), ports.diagnostics.refuse
+        broker, refuse = broker_of(settings), node_io.diagnostics.refuse
         files = None
         if settings.private:
             files = PrivateFiles(ros_home() / settings.private, robot.name)
             for problem in files.write_robot(robot.urdf):
                 refuse("mesh", problem)
-            if ports.parameters["work"] is None:
+            if node_io.parameters["work"] is None:
                 files.drop_building()
         # its last will takes the plan away: while it is lost, a verdict is not heard
         client = make_client(broker, unique_id(robot.name, "acts"), topics.plan, will="")
@@ -97,11 +97,11 @@ class ConsoleNode:
             robot.base_link,
             connection,
             writer,
-            ports.poses,
+            node_io.poses,
             lambda: self.shown_plan.plan,
             lambda: self.requests.closest(),
-            lambda: ports.connections("execution") > 0,
-            deployment_of(ports.parameters["startup"], rospy.get_namespace().rstrip("/")),
+            lambda: node_io.connections("execution") > 0,
+            deployment_of(node_io.parameters["startup"], rospy.get_namespace().rstrip("/")),
             files,
             ros_home() / settings.messages / f"{robot.name}.json" if settings.messages else None,
         )
@@ -110,7 +110,7 @@ class ConsoleNode:
             {kind: rospy.ServiceProxy(service.name, service.kind) for kind, service in PLAN_SERVICES.items()},
             rospy.ServiceProxy("plan_trajectory", srv.PlanTrajectory),
             PoseJudge(robot, settings.self_collision, lambda: feed.scene),
-            RobotContext(feed.twin, lambda: ports.connections("work/tasks") > 0, feed.is_engaged),
+            RobotContext(feed.twin, lambda: node_io.connections("work/tasks") > 0, feed.is_engaged),
             connection,
             settings.max_trajectory_bytes if settings.trajectories else 0,
         )
@@ -120,7 +120,7 @@ class ConsoleNode:
         plan, (acts, others) = self.shown_plan, self._connections
         own_plan = {acts.topics.plan: lambda message: plan.on_own_plan(bytes(message.payload))}
         acts.connect(plan.first, plan.publish_rehearsal, own_plan)
-        others.connect(self.feed.first, self.feed.publish_retained)
+        others.connect(self.feed.first, self.feed.republish_retained)
 
     def run(self) -> None:
         """Carry out what is asked for, and show everything, until shutdown."""
@@ -136,7 +136,7 @@ class ConsoleNode:
         while not rospy.is_shutdown():
             self.requests.queue.run(0.2)
         viewer.join(1.0)
-        self.shown_plan.take_away()
+        self.shown_plan.clear_retained()
         self.feed.publish_offline()
         for connection in self._connections:
             connection.disconnect()
@@ -182,17 +182,17 @@ class ConsoleNode:
         self.shown_plan.on_link(message)
         self.feed.on_link(message)
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         values: dict[str, object] = {"trajectories waiting": self.requests.queue.waiting}
         for connection in reversed(self._connections):
-            values |= connection.report()
+            values |= connection.status_fields()
         failed = [connection.side_effects.sentence for connection in self._connections]
-        if problem := next(filter(None, (*failed, *(connection.problem for connection in self._connections))), ""):
-            return Report(WARN, problem, values)
+        if problem := next(filter(None, (*failed, *(connection.fault for connection in self._connections))), ""):
+            return Diagnosis(WARN, problem, values)
         shown = "a plan is shown" if self.shown_plan.plan else "no plan to review"
         taken = "are taken" if self._settings.trajectories else "are not taken (trajectories: false)"
-        return Report(OK, f"{shown}; trajectories {taken}", values)
+        return Diagnosis(OK, f"{shown}; trajectories {taken}", values)
 
 
 def _services() -> Services:
@@ -218,14 +218,14 @@ def _feed(handler: Callable[[ConsoleFeed, Any], object]) -> Callable[[ConsoleNod
 
 
 INTERFACE = Interface(
-    report=ConsoleNode.report,
+    diagnose=ConsoleNode.diagnose,
     parameters=(SharedParameter("work"), SharedParameter("startup")),
-    reads=(
-        NewestPose(TWIN),
-        NewestPose(ARM),
-        NewestPose(EXPECTED, when=lambda settings: bool(settings.servo_model)),
+    polls=(
+        PolledPose(TWIN),
+        PolledPose(ARM),
+        PolledPose(EXPECTED, when=lambda settings: bool(settings.servo_model)),
     ),
-    hears=(
+    subscribes=(
         Subscription("execution", msg.Execution, _feed(ConsoleFeed.on_execution), queue_size=10),
         Subscription("work/tasks", msg.WorkTasks, _feed(ConsoleFeed.on_tasks), queue_size=2),
         Subscription("scene", msg.Scene, _feed(ConsoleFeed.on_scene), queue_size=2),

@@ -22,7 +22,7 @@ import rospy
 from paho.mqtt.client import MQTTMessage
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.freshness import TOO_OLD, present, staleness
+from construction_twin.core.freshness import TOO_OLD, present_moment, staleness
 from construction_twin.core.rate_limit import Pace, SenderLimits
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.side_effects import SideEffects
@@ -32,12 +32,12 @@ from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.mqtt.messages import MAX_IDENTITY_BYTES, Topics, account_of, identity_of
 from construction_twin.mqtt.requests import RequestKind, answer_limits
 from construction_twin.ros.shared.diagnostics import DeferredLog
-from construction_twin.ros.shared.mqtt_connection import connect, report_of
+from construction_twin.ros.shared.mqtt_connection import connect, connection_log
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.persistent_service import ServiceSilentError
 
 Reader: TypeAlias = "type[Request] | Callable[[dict[str, Any]], Any]"
-Handler: TypeAlias = "Callable[[Any, Incoming], Outcome]"
+Handler: TypeAlias = "Callable[[Any, IncomingRequest], Outcome]"
 #: Reason of a PayloadError: it came before, and was answered then.
 REPEATED = "repeated"
 
@@ -56,13 +56,13 @@ class Connection:
 
     def __init__(self, broker: Broker, client: FastClient, topics: Topics, refuse: Callable[[str, str], None]):
         self._broker, self._client, self.topics, self.refuse = broker, client, topics, refuse
-        self._state = report_of(broker)
+        self._state = connection_log(broker)
         self.endpoints: list[Endpoint] = []
         self.counts: Counter[str] = Counter()
         self._counting = threading.Lock()
         self.side_effects, self.log = SideEffects(), DeferredLog()
         #: Takes a part's name, the part and its arguments; returns what the part returns, or None where it failed.
-        self.tell = self.side_effects.run
+        self.run_side_effect = self.side_effects.run
 
     def serve(
         self, kind: RequestKind, read: Reader, act: Handler, queue: RequestQueue | NewestQueue | None = None
@@ -74,12 +74,12 @@ class Connection:
         self,
         first: Callable[[], tuple[str, bytes, bool]],
         then: Callable[[], object],
-        heard: Mapping[str, Callable[[MQTTMessage], None]] = MappingProxyType({}),
+        topic_handlers: Mapping[str, Callable[[MQTTMessage], None]] = MappingProxyType({}),
     ) -> None:
-        """Connect, as of `mqtt_connection`; `heard`: what takes the messages of further topics."""
-        topics = [*((topic, 1) for topic in heard), *((each.topic, each.kind.qos) for each in self.endpoints)]
+        """Connect, as of `mqtt_connection`; `topic_handlers`: what takes the messages of further topics."""
+        topics = [*((topic, 1) for topic in topic_handlers), *((each.topic, each.kind.qos) for each in self.endpoints)]
 
-        on_message = {**heard, **{endpoint.topic: endpoint.on_message for endpoint in self.endpoints}}
+        on_message = {**topic_handlers, **{endpoint.topic: endpoint.on_message for endpoint in self.endpoints}}
         connect(self._client, self._broker, self._state, topics, first, on_message, then)
 
     def disconnect(self) -> None:
@@ -88,7 +88,7 @@ class Connection:
         self._client.loop_stop()
 
     @property
-    def problem(self) -> str:
+    def fault(self) -> str:
         """Why nothing comes or goes by it; empty while it is connected."""
         return "" if self._client.is_connected() else self._state.sentence or "connecting to the broker"
 
@@ -114,13 +114,13 @@ class Connection:
 
     def write_log(self) -> None:
         """Write what is to be said, and what has failed; for a thread that may wait for a disk or a terminal."""
-        self.tell("the log", self.log.flush)
+        self.run_side_effect("the log", self.log.flush)
         self.side_effects.write(rospy.logerr)
 
-    def report(self) -> dict[str, object]:
+    def status_fields(self) -> dict[str, object]:
         """Return what became of requests, and what has failed beside them, for `/diagnostics`."""
         with self._counting:
-            return dict(sorted(self.counts.items())) | self.side_effects.report()
+            return dict(sorted(self.counts.items())) | self.side_effects.status_fields()
 
 
 @dataclass
@@ -147,7 +147,7 @@ class Endpoint:
 
     def on_message(self, message: MQTTMessage) -> None:
         """Take a message from the connection's thread."""
-        incoming = Incoming(self, "", bytes(message.payload), message.retain)
+        incoming = IncomingRequest(self, "", bytes(message.payload), message.retain)
         if self.topic.endswith("/+"):
             try:
                 incoming.account = account_of(message.topic)
@@ -164,15 +164,15 @@ class Endpoint:
         except PayloadError as error:
             incoming.refuse_unread(error)
             return
-        (Incoming.carry_out if self.queue is None else self.queue.take)(incoming)
+        (IncomingRequest.carry_out if self.queue is None else self.queue.enqueue)(incoming)
 
 
-class Incoming:
+class IncomingRequest:
     """One request: its message, and all that is done with it. `account` is "" where the topic names none."""
 
     def __init__(self, endpoint: Endpoint, account: str, payload: bytes, retained: bool):
         self._endpoint, self._connection, self.kind = endpoint, endpoint.connection, endpoint.kind
-        self.account, self._payload, self._retained, self.arrived = account, payload, retained, present()
+        self.account, self._payload, self._retained, self.arrived = account, payload, retained, present_moment()
         self._document: dict[str, Any] | None = None
         self.asked: Any = None
 
@@ -197,7 +197,7 @@ class Incoming:
         """Do it, and answer; return the answer, empty where there is none."""
         refused = None
         try:
-            if self.kind.expires and (problem := staleness(self.asked.moment, present())):
+            if self.kind.expires and (problem := staleness(self.asked.moment, present_moment())):
                 raise PayloadError(TOO_OLD, Sentence("the request is {problem}", problem=problem))
             outcome = self._endpoint.act(self.asked, self)
         except ServiceSilentError as error:
@@ -211,12 +211,12 @@ class Incoming:
         if refused is not None:
             self.count_refusal(refused.reason, str(refused))
         if self.kind.qos:
-            self._connection.tell("the log", self._say, outcome.message)
+            self._connection.run_side_effect("the log", self._log, outcome.message)
         return answer
 
     def refuse_unread(self, error: PayloadError) -> None:
         """Answer that it cannot be read, or is not, at a pace, and count it."""
-        if self._endpoint.malformed.take(self.account, _now_ns()):
+        if self._endpoint.malformed.admit(self.account, _now_ns()):
             self._answer(Outcome(False, str(error), error.reason == TOO_OLD))
         else:
             self.count("not answered")
@@ -241,10 +241,10 @@ class Incoming:
 
     def count_refusal(self, reason: str, sentence: str) -> None:
         """Count that it was refused."""
-        self._connection.tell("the count of refusals", self._connection.refuse, reason, sentence)
+        self._connection.run_side_effect("the count of refusals", self._connection.refuse, reason, sentence)
 
     def _answer(self, outcome: Outcome) -> bytes:
-        answer = self._connection.tell("the answer", self._payload_of, outcome) or b""
+        answer = self._connection.run_side_effect("the answer", self._payload_of, outcome) or b""
         if answer:
             self._publish(answer)
         return answer
@@ -257,9 +257,9 @@ class Incoming:
     def _publish(self, answer: bytes) -> None:
         if self.kind.is_answered_to(self.account):
             topic = self._connection.topics.ack_of(self.kind, self.account)
-            self._connection.tell("the answer", self._connection.answer, topic, answer, self.kind.qos)
+            self._connection.run_side_effect("the answer", self._connection.answer, topic, answer, self.kind.qos)
 
-    def _say(self, sentence: str) -> None:
+    def _log(self, sentence: str) -> None:
         known = (pair for pair in self.identity.items() if pair[0] == "account" or pair[1] not in ("", self.account))
         words = ", ".join(map(" ".join, known))
         self._connection.log.add(rospy.loginfo, "%s by MQTT (%s): %s", self.kind.name, words, sentence)
@@ -275,18 +275,18 @@ class NewestQueue:
     def __init__(self, most: int, pace: Pace):
         self._most, self._pace, self._limits = most, pace, SenderLimits(pace)
         self._news = threading.Condition()
-        self._waiting: dict[str, Incoming] = {}
+        self._waiting: dict[str, IncomingRequest] = {}
 
-    def admits(self, request: Incoming) -> bool:
+    def admits(self, request: IncomingRequest) -> bool:
         """Return whether a request is worth reading; what is not was counted."""
-        fits = self._limits.take(request.account, _now_ns())
+        fits = self._limits.admit(request.account, _now_ns())
         if not fits:
             name = request.kind.name
             request.count_refusal(f"{name}_rate", f"{name} too often from {request.account}: {self._pace}")
         return fits
 
-    def take(self, request: Incoming) -> None:
-        """Let a request wait in place of its sender's former one, or answer why not."""
+    def enqueue(self, request: IncomingRequest) -> None:
+        """Queue a request in place of its sender's former one, or answer why not."""
         with self._news:
             former = self._waiting.get(request.account)
             fits = former is not None or len(self._waiting) < self._most
@@ -320,7 +320,7 @@ class RequestQueue:
         self._pace, self._limits = pace, None if pace is None else SenderLimits(pace)
         self._most, self._repeat_window = most, repeat_window
         self._lock = threading.Lock()
-        self._waiting: queue.Queue[Incoming] = queue.Queue(most)
+        self._waiting: queue.Queue[IncomingRequest] = queue.Queue(most)
         #: Digest of a request to its answer and when that was given; None: it is not answered yet.
         self._answered: dict[bytes, tuple[bytes | None, float]] = {}
 
@@ -329,11 +329,11 @@ class RequestQueue:
         """How many wait."""
         return self._waiting.qsize()
 
-    def admits(self, request: Incoming) -> bool:
+    def admits(self, request: IncomingRequest) -> bool:
         """Return whether a request is worth reading; what is not was answered: one that came before as it was then."""
         if self._repeat_window and self._is_repeated(request):
             return False
-        if self._limits is None or not (wait := self._limits.wait(request.account, _now_ns())):
+        if self._limits is None or not (wait := self._limits.waiting_time(request.account, _now_ns())):
             return True
         assert self._pace is not None  # there are limits
         # rounded up: who tries again then is not too early
@@ -343,10 +343,10 @@ class RequestQueue:
         request.refuse_unread(PayloadError("busy", sentence))
         return False
 
-    def take(self, request: Incoming) -> None:
-        """Let a request wait for its turn, or answer why not."""
+    def enqueue(self, request: IncomingRequest) -> None:
+        """Queue a request, or answer why not."""
         now = _now_ns()
-        self._note(request, None)
+        self._record_answer(request, None)
         try:
             self._waiting.put_nowait(request)
         except queue.Full:
@@ -355,18 +355,18 @@ class RequestQueue:
             request.refuse("busy", f"{self._most} requests are waiting already; try again")
             return
         if self._limits is not None:
-            self._limits.take(request.account, now)
+            self._limits.admit(request.account, now)
 
     def run(self, patience: float = 0.0) -> None:
         """Carry out all that wait; wait so long [s] for the first one."""
         try:
-            self._do_next(self._waiting.get(timeout=patience) if patience else self._waiting.get_nowait())
+            self._carry_out(self._waiting.get(timeout=patience) if patience else self._waiting.get_nowait())
             while True:
-                self._do_next(self._waiting.get_nowait())
+                self._carry_out(self._waiting.get_nowait())
         except queue.Empty:
             return
 
-    def _is_repeated(self, request: Incoming) -> bool:
+    def _is_repeated(self, request: IncomingRequest) -> bool:
         now = time.monotonic()
         with self._lock:
             self._answered = {
@@ -380,10 +380,10 @@ class RequestQueue:
         request.repeat(answer or b"")
         return True
 
-    def _do_next(self, request: Incoming) -> None:
-        self._note(request, request.carry_out())
+    def _carry_out(self, request: IncomingRequest) -> None:
+        self._record_answer(request, request.carry_out())
 
-    def _note(self, request: Incoming, answer: bytes | None) -> None:
+    def _record_answer(self, request: IncomingRequest, answer: bytes | None) -> None:
         if self._repeat_window:
             with self._lock:
                 self._answered[request.digest] = answer, time.monotonic()

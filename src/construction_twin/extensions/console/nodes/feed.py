@@ -17,8 +17,8 @@ from typing import Generic, TypeVar
 from genpy import Message
 
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
-from construction_twin.core.freshness import present
-from construction_twin.core.records import SPACED, dumped
+from construction_twin.core.freshness import present_moment
+from construction_twin.core.records import SPACED, to_json
 from construction_twin.core.reports import (
     ExecutionReport,
     HoldReport,
@@ -37,8 +37,14 @@ from construction_twin.extensions.console.nodes.endpoint import Connection
 from construction_twin.extensions.console.nodes.shown_plan import PATH_POINTS, segment_ends
 from construction_twin.extensions.console.private_files import PrivateFiles
 from construction_twin.extensions.console.remote_review import PathView, scene_view
-from construction_twin.extensions.console.remote_view import ClosestView, PlanProgress, PoseView, Shown, ViewWriter
-from construction_twin.extensions.console.remote_view import Seen as ViewInputs
+from construction_twin.extensions.console.remote_view import (
+    ClosestView,
+    FreshReport,
+    PlanProgress,
+    PoseView,
+    ViewInputs,
+    ViewWriter,
+)
 from construction_twin.link.requests import Acknowledgement
 from construction_twin.mqtt.requests import ACKNOWLEDGE
 from construction_twin.msg import (
@@ -60,12 +66,12 @@ from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.scene.objects import Scene
-from construction_twin.views.startup import Deployment, Seen, Word, first_missing
-from construction_twin.views.status_line import Line, ReportsNow, status_lines
+from construction_twin.views.startup import Deployment, ReportedState, StartupInputs, first_missing
+from construction_twin.views.status_line import CurrentReports, Line, status_lines
 from construction_twin.views.texts import hold_cause
 
 #: The status line is looked at so often, and sent again without a change after so long [s].
-LOOK, REPEAT = 0.2, 1.0
+UPDATE_PERIOD, REPEAT = 0.2, 1.0
 #: Of so many plans the tool's path is kept until one is played.
 PATHS = 8
 #: Topics of the poses on `view`; one that is older counts as not known [s].
@@ -79,25 +85,25 @@ _UNDER_WAY = frozenset(state.name for state in ACTIVE)
 _Report = TypeVar("_Report")
 
 
-class _Newest(Generic[_Report]):
+class _NewestReport(Generic[_Report]):
     """The newest report of a kind, and when it came."""
 
     def __init__(self, kind: type[_Report]):
         self._kind = kind
         self._newest: tuple[_Report, float] | None = None
 
-    def take(self, message: Message) -> _Report:
-        """Keep the report of a message, and return it."""
+    def on_message(self, message: Message) -> _Report:
+        """Store the report of a message, and return it."""
         report = from_msg(self._kind, message)
         self._newest = report, time.monotonic()
         return report
 
-    def shown(self, oldest: float = math.inf) -> Shown | None:
+    def fresh(self, oldest: float = math.inf) -> FreshReport | None:
         """Return it with its age; None: there is none, or it is older than that [s]."""
         newest = self._newest
         if newest is None or (age := time.monotonic() - newest[1]) > oldest:
             return None
-        return Shown(newest[0], age)
+        return FreshReport(newest[0], age)
 
 
 class ConsoleFeed:
@@ -130,10 +136,14 @@ class ConsoleFeed:
         self._plan, self._closest, self._executor_is_there = plan, closest, executor_is_there
         self._deployment, self._files = deployment, files
         # of the plan's progress, of the writer, of what is retained
-        self._lock, self._writing, self._telling = threading.Lock(), threading.Lock(), threading.RLock()
-        self._sync, self._link, self._speed = _Newest(SyncReport), _Newest(LinkReport), _Newest(SpeedReport)
-        self.on_sync, self.on_link, self.on_speed = self._sync.take, self._link.take, self._speed.take
-        self._execution = _Newest(ExecutionReport)
+        self._lock, self._writing, self._publishing = threading.Lock(), threading.Lock(), threading.RLock()
+        self._sync, self._link, self._speed = (
+            _NewestReport(SyncReport),
+            _NewestReport(LinkReport),
+            _NewestReport(SpeedReport),
+        )
+        self.on_sync, self.on_link, self.on_speed = self._sync.on_message, self._link.on_message, self._speed.on_message
+        self._execution = _NewestReport(ExecutionReport)
         self._progress = PlanProgress()
         #: Of the newest plans, by id: the payload of `path` while that plan is played.
         self._paths: dict[str, bytes] = {}
@@ -142,28 +152,28 @@ class ConsoleFeed:
         self._scene: Scene | None = None
         self._work: WorkReport | None = None
         self._hold = HoldReport()
-        self._arm_seen = self._twin_seen = False
-        tell = partial(self._keep, self._topics.messages)
-        self.messages = MessageBoard(tell, connection.refuse, messages, clock)
+        self._had_arm_pose = self._had_twin_pose = False
+        publish = partial(self._publish_retained, self._topics.messages)
+        self.messages = MessageBoard(publish, connection.refuse, messages, clock)
         connection.serve(
             ACKNOWLEDGE,
             Acknowledgement,
             lambda asked, request: Outcome(*self.messages.acknowledge(asked.message, request.account)),
         )
-        self._looked = self._told_at = float("-inf")
-        self._told = b""
+        self._updated_at = self._published_at = float("-inf")
+        self._published = b""
 
     # -- from ROS
 
     def on_plan(self, message: Plan) -> None:
         """Take a plan for review."""
         path = _path_of(message)
-        with self._telling:
+        with self._publishing:
             self._paths.pop(message.id, None)
             self._paths[message.id] = path
             while len(self._paths) > PATHS:
                 del self._paths[next(iter(self._paths))]
-            self._tell_path()
+            self._publish_path()
 
     def on_review(self, message: Review, rehearsal: RehearsalReport | None) -> None:
         """Take a verdict, and the newest rehearsal, which may be of that plan."""
@@ -187,17 +197,17 @@ class ConsoleFeed:
     def on_execution(self, message: Execution) -> None:
         """Take the executor's report; tell the tool's path of the plan that is under way, none once it has ended."""
         with self._lock:
-            report = self._execution.take(message)
+            report = self._execution.on_message(message)
             self._progress.on_report(report)
-        with self._telling:
+        with self._publishing:
             self._playing = report.plan_id if report.text in _UNDER_WAY else ""
-            self._tell_path()
+            self._publish_path()
 
-    def _tell_path(self) -> None:
+    def _publish_path(self) -> None:
         # a node that was started in the middle of a motion may hear of the plan after it has heard that it is played
         payload = self._paths.get(self._playing, b"")
         if payload != self._retained.get(self._topics.path, b""):
-            self._keep(self._topics.path, payload)
+            self._publish_retained(self._topics.path, payload)
 
     def on_session_request(self, message: SessionRequestMessage) -> None:
         """Take that a person has lifted a stop or fault, or armed."""
@@ -227,32 +237,32 @@ class ConsoleFeed:
             self._connection.refuse("scene", str(error))
             return
         self._scene = scene
-        self._keep(self._topics.scene, dumped(scene_view(scene, self._base_link)))
+        self._publish_retained(self._topics.scene, to_json(scene_view(scene, self._base_link)))
 
     def on_tasks(self, message: WorkTasks) -> None:
         """Tell the tasks."""
         self._work = from_msg(WorkReport, message)
-        self._keep(self._topics.work_tasks, dumped(self._work, said=True))
+        self._publish_retained(self._topics.work_tasks, to_json(self._work, translatable=True))
 
     # -- to MQTT
 
-    def publish_retained(self) -> None:
-        """Tell everything again: the broker may have been started anew."""
-        with self._telling:
-            self._told_at = float("-inf")
+    def republish_retained(self) -> None:
+        """Publish everything retained again: the broker may have been started anew."""
+        with self._publishing:
+            self._published_at = float("-inf")
             for topic, payload in self._retained.items():
                 self._connection.publish(topic, payload, retain=True)
 
     def publish_offline(self) -> None:
         """Say that nothing is known, and take away what is retained: nobody keeps it up to date any more."""
         self._connection.publish(self._topics.view, self._writer.offline())
-        with self._telling:
+        with self._publishing:
             for topic in self._retained:
                 self._connection.publish(topic, b"", retain=True)
 
-    def _keep(self, topic: str, payload: bytes) -> None:
+    def _publish_retained(self, topic: str, payload: bytes) -> None:
         # what is retained must not be the older one, which another thread has sent behind it
-        with self._telling:
+        with self._publishing:
             self._retained[topic] = payload
             self._connection.publish(topic, payload, retain=True)
 
@@ -268,7 +278,7 @@ class ConsoleFeed:
 
     def is_engaged(self) -> bool:
         """Return whether only the way back can be planned."""
-        execution = self._execution.shown()
+        execution = self._execution.fresh()
         return execution is not None and bool(execution.report.engaged)
 
     def first(self) -> tuple[str, bytes, bool]:
@@ -283,17 +293,17 @@ class ConsoleFeed:
 
     def _view(self) -> bytes:
         # before anything is looked at: whoever repeats it has seen nothing newer
-        moment, seen = present(), self.seen()
-        self._twin_seen, self._arm_seen = (
-            self._twin_seen or seen.twin is not None,
-            self._arm_seen or seen.arm is not None,
+        moment, inputs = present_moment(), self.view_inputs()
+        self._had_twin_pose, self._had_arm_pose = (
+            self._had_twin_pose or inputs.twin is not None,
+            self._had_arm_pose or inputs.arm is not None,
         )
         with self._writing:
-            return self._writer.write(now_ns(), seen, moment)
+            return self._writer.write(now_ns(), inputs, moment)
 
-    def seen(self) -> ViewInputs:
-        """Return what is known now."""
-        sync, execution, speed = self._sync.shown(SYNC_AGE), self._present_execution(), self._speed.shown(SPEED_AGE)
+    def view_inputs(self) -> ViewInputs:
+        """Return the inputs of the present view."""
+        sync, execution, speed = self._sync.fresh(SYNC_AGE), self._present_execution(), self._speed.fresh(SPEED_AGE)
         with self._lock:
             progress = self._progress.at(now_ns() / NANOSECONDS)
         return ViewInputs(
@@ -301,7 +311,7 @@ class ConsoleFeed:
             arm=_pose_view(self._poses.get(ARM)),
             expected=_pose_view(self._poses.get(EXPECTED)),
             sync=sync,
-            link=self._link.shown(LINK_AGE),
+            link=self._link.fresh(LINK_AGE),
             execution=execution,
             plan=self._plan(),
             closest=self._closest(),
@@ -310,29 +320,32 @@ class ConsoleFeed:
             speed=speed.report if speed is not None else None,
         )
 
-    def _present_execution(self) -> Shown[ExecutionReport] | None:
-        return self._execution.shown() if self._executor_is_there() else None
+    def _present_execution(self) -> FreshReport[ExecutionReport] | None:
+        return self._execution.fresh() if self._executor_is_there() else None
 
     def publish_status_line(self) -> None:
         """Send the status line when it has changed, or was not sent for a while."""
         now = time.monotonic()
-        if now - self._looked < LOOK:
+        if now - self._updated_at < UPDATE_PERIOD:
             return
-        self._looked = now
-        lines = self._lines(self._link.shown(LINK_AGE), self._sync.shown(SYNC_AGE), self._present_execution())
+        self._updated_at = now
+        lines = self._lines(self._link.fresh(LINK_AGE), self._sync.fresh(SYNC_AGE), self._present_execution())
         self.messages.on_lines(lines)
-        payload = dumped(lines, marks=SPACED)
-        if payload == self._told and now - self._told_at < REPEAT:
+        payload = to_json(lines, separators=SPACED)
+        if payload == self._published and now - self._published_at < REPEAT:
             return
-        self._told, self._told_at = payload, now
+        self._published, self._published_at = payload, now
         self._connection.publish(self._topics.screen, payload)
 
     def _lines(
-        self, link: Shown[LinkReport] | None, sync: Shown[SyncReport] | None, execution: Shown[ExecutionReport] | None
+        self,
+        link: FreshReport[LinkReport] | None,
+        sync: FreshReport[SyncReport] | None,
+        execution: FreshReport[ExecutionReport] | None,
     ) -> list[Line]:
-        words = _word(link), _word(sync), _word(execution)
+        words = _reported_state(link), _reported_state(sync), _reported_state(execution)
         deployment = self._deployment
-        heard = ReportsNow(
+        reports = CurrentReports(
             *words,
             bare=link is not None and link.report.gateway_kind == "plc",
             plan=self._plan(),
@@ -342,10 +355,12 @@ class ConsoleFeed:
             work=self._work,
         )
         if deployment is not None:
-            seen = Seen(*words, feedback=self._arm_seen, twin=self._twin_seen, scene=self._scene is not None)
-            missing = first_missing(seen, deployment)
-            heard = replace(heard, started=True, missing=missing, arm=deployment.arm != "none")
-        return status_lines(heard)
+            inputs = StartupInputs(
+                *words, feedback=self._had_arm_pose, twin=self._had_twin_pose, scene=self._scene is not None
+            )
+            missing = first_missing(inputs, deployment)
+            reports = replace(reports, started=True, missing=missing, arm=deployment.arm != "none")
+        return status_lines(reports)
 
 
 def _path_of(message: Plan) -> bytes:
@@ -358,10 +373,10 @@ def _path_of(message: Plan) -> bytes:
     return PathView(message.id, stamps, path).to_json(PATH_POINTS, segment_ends(message, times))
 
 
-def _word(shown: Shown | None) -> Word | None:
+def _reported_state(shown: FreshReport | None) -> ReportedState | None:
     if shown is None:
         return None
-    return Word(shown.report.text, shown.report.reason, getattr(shown.report, "gateway_state", ""))
+    return ReportedState(shown.report.text, shown.report.reason, getattr(shown.report, "gateway_state", ""))
 
 
 def _pose_view(stream: LatestPose | None) -> PoseView | None:

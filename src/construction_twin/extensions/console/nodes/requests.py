@@ -14,10 +14,10 @@ import rospy
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import ConfigurationError, PayloadError
-from construction_twin.core.extensions import extension
+from construction_twin.core.extensions import import_extension
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.extensions.console.nodes.endpoint import Connection, Incoming, NewestQueue, RequestQueue
+from construction_twin.extensions.console.nodes.endpoint import Connection, IncomingRequest, NewestQueue, RequestQueue
 from construction_twin.extensions.console.remote_view import ClosestView
 from construction_twin.link.requests import GoalRequest, IkRequest, Joints, read_goal
 from construction_twin.mqtt.requests import IK, NAMELESS_TRAJECTORY, PLAN_REQUEST, TRAJECTORY
@@ -135,27 +135,27 @@ class ConsoleRequests:
         services: Mapping[str, rospy.ServiceProxy],
         plan_trajectory: rospy.ServiceProxy,
         judge: PoseJudge,
-        around: RobotContext,
+        context: RobotContext,
         connection: Connection,
         max_trajectory_bytes: int,
     ):
         self._joints, self._connection = joints, connection
-        self._services, self._plan_trajectory, self._judge, self._around = services, plan_trajectory, judge, around
+        self._services, self._plan_trajectory, self._judge, self._context = services, plan_trajectory, judge, context
         assert PLAN_REQUEST.pace is not None and IK.pace is not None
         self.queue = RequestQueue(WAITING, PLAN_REQUEST.pace, REPEAT_WINDOW)
         self.poses = NewestQueue(IK_ACCOUNTS, IK.pace)
         self._closest: tuple[ClosestView, float] | None = None
-        self._problem = ""
+        self._closest_fault = ""
         connection.serve(IK, IkRequest, self._solve, self.poses)
         if max_trajectory_bytes:
             for kind in (NAMELESS_TRAJECTORY, TRAJECTORY):
-                read = partial(extension("planners.remote_trajectory").parse_trajectory, joints=joints)
+                read = partial(import_extension("planners.remote_trajectory").parse_trajectory, joints=joints)
                 connection.serve(replace(kind, limit=max_trajectory_bytes), read, self._check_motion, self.queue)
             connection.serve(PLAN_REQUEST, partial(read_goal, joints=joints), self._plan, self.queue)
 
     # -- motions
 
-    def _check_motion(self, asked: Any, request: Incoming) -> Outcome:
+    def _check_motion(self, asked: Any, request: IncomingRequest) -> Outcome:
         """Have a motion, a `TrajectoryRequest` of the extension planners, checked and timed."""
         answer = call(
             self._plan_trajectory,
@@ -171,12 +171,12 @@ class ConsoleRequests:
 
     # -- plan requests
 
-    def _plan(self, asked: GoalRequest, request: Incoming) -> Outcome:
+    def _plan(self, asked: GoalRequest, request: IncomingRequest) -> Outcome:
         kind = asked.kind
-        if kind == "way_back" and self._around.has_work() and self._around.is_engaged():
+        if kind == "way_back" and self._context.has_work() and self._context.is_engaged():
             # the node `work` makes the scene right before it has the way back planned
             kind = "work_task"
-        if kind == "work_task" and not self._around.has_work():
+        if kind == "work_task" and not self._context.has_work():
             return Outcome(
                 False, Sentence("no building model is worked on here; start bringup with work_model and work_cell")
             )
@@ -187,8 +187,8 @@ class ConsoleRequests:
 
     # -- IK requests
 
-    def _solve(self, asked: IkRequest, _request: Incoming) -> Outcome:
-        seed = self._joints.in_order(asked.seed, "seed") if asked.seed else tuple(self._around.twin())
+    def _solve(self, asked: IkRequest, _request: IncomingRequest) -> Outcome:
+        seed = self._joints.in_order(asked.seed, "seed") if asked.seed else tuple(self._context.twin())
         if not seed:
             return Outcome(False, Sentence("the twin's pose is not known, and no seed was given"))
         try:
@@ -201,34 +201,34 @@ class ConsoleRequests:
 
     # -- the closest two bodies
 
-    def look_around(self) -> None:
+    def update_closest(self) -> None:
         """Find the two bodies that are closest at the twin's pose."""
-        q = tuple(self._around.twin())
+        q = tuple(self._context.twin())
         clearance, found, problem = None, None, ""
         try:
             clearance = self._judge.closest(q) if q else None
         except (ConfigurationError, SceneError) as error:
             problem = str(error)
-        if problem and problem != self._problem:
+        if problem and problem != self._closest_fault:
             self._connection.refuse("closest", problem)
-        self._problem = problem
+        self._closest_fault = problem
         if clearance is not None:
             found = ClosestView(clearance.distance, clearance.between, clearance.point, 0.0), time.monotonic()
         self._closest = found
 
     def closest(self) -> ClosestView | None:
-        """Return what `look_around` found last, with its age."""
+        """Return what `update_closest` found last, with its age."""
         found = self._closest
         return None if found is None else replace(found[0], age=time.monotonic() - found[1])
 
-    def run(self, looks_around: bool) -> None:
+    def run(self, with_closest: bool) -> None:
         """Answer poses until shutdown, and look around between them."""
         due = 0.0
         while not rospy.is_shutdown():
             self.poses.run(CLOSEST_PERIOD)
-            if looks_around and time.monotonic() >= due:
+            if with_closest and time.monotonic() >= due:
                 due = time.monotonic() + CLOSEST_PERIOD
-                self.look_around()
+                self.update_closest()
 
 
 def source_of(says: str, sender: str, proven: bool) -> str:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.records import SPACED, dumped
+from construction_twin.core.records import SPACED, to_json
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.extensions.console.nodes.endpoint import Connection
 from construction_twin.extensions.console.remote_review import (
@@ -50,10 +50,10 @@ class ShownPlan:
         self._board, self._rehearsals = PlanBoard(), PlanBoard()
         self.rehearsal: RehearsalReport | None = None
         self._view: PlanView | None = None
-        self._gone = ""
+        self._disconnected_plan = ""
         self._lock = threading.Lock()
         self._session: str | None = None
-        self._seen = b""
+        self._received = b""
         self._checked_at = 0.0
 
     @property
@@ -82,13 +82,13 @@ class ShownPlan:
             return
         with self._lock:
             self.rehearsal = report
-            self._rehearsals.on_plan(report.plan_id, dumped(report, marks=SPACED, said=True))
+            self._rehearsals.on_plan(report.plan_id, to_json(report, separators=SPACED, translatable=True))
         self.publish_rehearsal()
 
     def on_caller(self, message: PlanCaller) -> None:
         """Say of the plan under review whether the program that asked for it is still connected."""
         with self._lock:
-            self._gone = "" if message.connected else message.plan_id
+            self._disconnected_plan = "" if message.connected else message.plan_id
             if self._view is None or self._view.id != message.plan_id:
                 return
             self._show()
@@ -98,7 +98,7 @@ class ShownPlan:
         """Put the newest plan on the board, unless it was decided."""
         view = self._view
         assert view is not None  # there is a plan
-        if view.id == self._gone:
+        if view.id == self._disconnected_plan:
             # in the one text about who asked that every screen shows
             view = replace(view, source=f"{view.source} (connected no more: nobody waits for the result)")
         self._board.on_plan(view.id, view.to_json(PATH_POINTS))
@@ -114,10 +114,10 @@ class ShownPlan:
                 self._change(PlanBoard.restart)
             self._session = message.session
 
-    def _change(self, change: Callable[..., None], *given: str) -> None:
+    def _change(self, change: Callable[..., None], *arguments: str) -> None:
         with self._lock:
             for board in (self._board, self._rehearsals):
-                change(board, *given)
+                change(board, *arguments)
         self._publish_plan()
         self.publish_rehearsal()
 
@@ -125,7 +125,7 @@ class ShownPlan:
 
     def first(self) -> tuple[str, bytes, bool]:
         """Return what a new connection begins with: topic, payload, retain flag."""
-        self._seen = b""
+        self._received = b""
         return self._topics.plan, self._board.payload, True
 
     def publish_rehearsal(self) -> None:
@@ -137,7 +137,7 @@ class ShownPlan:
 
     def on_own_plan(self, payload: bytes) -> None:
         """Note what the broker holds."""
-        self._seen = payload
+        self._received = payload
 
     def check(self) -> None:
         """Publish again when the broker holds something else: the late last will of a predecessor takes our plan away."""
@@ -145,11 +145,11 @@ class ShownPlan:
         if now - self._checked_at < CHECK_PERIOD:
             return
         self._checked_at = now
-        if self._seen != self._board.payload:
+        if self._received != self._board.payload:
             self._publish_plan()
 
-    def take_away(self) -> None:
-        """Take both away: nobody hears a verdict any more."""
+    def clear_retained(self) -> None:
+        """Clear both retained messages: nobody hears a verdict any more."""
         for topic in (self._topics.plan, self._topics.rehearsal):
             self._connection.publish(topic, b"", retain=True)
 

@@ -12,14 +12,14 @@ from rich.console import Console
 from rich.table import Table
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.files import write_whole
+from construction_twin.core.files import write_atomically
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation.alignment import TwinPath
 from construction_twin.evaluation.recording import Recording
 from construction_twin.extensions.physics.identification import (
     NO_MOTION,
-    Drive,
     IdentifiedJoint,
+    RecordedMotion,
     identify,
     servo_file,
 )
@@ -44,7 +44,7 @@ def cycle_of(recording: Recording) -> int:
     raise ConstructionTwinError(NO_MOTION)
 
 
-def drives_of(recording: Recording, cycle_ns: int) -> list[Drive]:
+def recorded_motions(recording: Recording, cycle_ns: int) -> list[RecordedMotion]:
     """Return the stretches of a recording in which the controller's targets are known, each from rest.
 
     A command stamp says which target the controller took; a reply that did not arrive shows as a stamp that comes twice. Rows where
@@ -72,7 +72,7 @@ def drives_of(recording: Recording, cycle_ns: int) -> list[Drive]:
         rest = _first_rest(targets[rows], RESTED // cycle_ns)
         if rest is not None and end - begin - rest >= SHORTEST:
             rows = slice(begin + rest, end)
-            drives.append(Drive(targets[rows], feedback.positions[rows], counts[rows]))
+            drives.append(RecordedMotion(targets[rows], feedback.positions[rows], counts[rows]))
     return drives
 
 
@@ -100,7 +100,7 @@ def _lasts(holds: np.ndarray, rows: int) -> np.ndarray:
 def _in_sync(recording: Recording) -> np.ndarray:
     """Return at which rows of the feedback the gate was open, as far as it reported, shape (m,), bool."""
     changes = [change for change in recording.changes if change.source == "gate"]
-    stamps = recording.feedback.stamps  # type: ignore[union-attr]  # `drives_of` has seen to that
+    stamps = recording.feedback.stamps  # type: ignore[union-attr]  # `recorded_motions` has seen to that
     if not changes:
         return np.ones(len(stamps), bool)
     at = np.searchsorted([change.stamp for change in changes], stamps, side="right") - 1
@@ -127,11 +127,11 @@ def main(arguments: list[str] | None = None) -> int:
 
     def write(recording: Recording, directory: Path, console: Console) -> list[Path]:
         cycle_ns = cycle_of(recording)
-        drives = drives_of(recording, cycle_ns)
+        drives = recorded_motions(recording, cycle_ns)
         found = identify(recording.joint_names, drives, cycle_ns)
         directory.mkdir(parents=True, exist_ok=True)
         path = directory / "servos.yaml"
-        write_whole(path, servo_file(found, cycle_ns, options.bag.name))
+        write_atomically(path, servo_file(found, cycle_ns, options.bag.name))
         console.print(servo_table(found, cycle_ns))
         return [path]
 

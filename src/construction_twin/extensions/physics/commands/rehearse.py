@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 import rospy
 
-from construction_twin.core.errors import ConstructionTwinError, spoken
-from construction_twin.core.extensions import check_extras, extension
+from construction_twin.core.errors import ConstructionTwinError, command_message
+from construction_twin.core.extensions import check_extras, import_extension
 from construction_twin.core.freshness import Moment
-from construction_twin.core.records import document
+from construction_twin.core.records import json_value
 from construction_twin.core.share import share_file
 from construction_twin.evaluation.tables import table_console
 from construction_twin.extensions.physics.known_mass import TOOL, body_of, masses_of
-from construction_twin.extensions.physics.process import digest, file_digest, prepared
+from construction_twin.extensions.physics.process import digest, file_digest, load_rehearsal
 from construction_twin.planning.waypoints import plan_waypoints
 from construction_twin.review import rehearsal_report as states
 from construction_twin.robot.description import RobotModel, read_robot_files
@@ -44,7 +44,7 @@ def main(arguments: list[str] | None = None) -> int:
         return _rehearse(options)
     # the last two: MuJoCo is not what this machine can load
     except (ConstructionTwinError, OSError, ImportError, RuntimeError) as error:
-        print(f"rehearse: {spoken(error)}", file=sys.stderr)
+        print(f"rehearse: {command_message(error)}", file=sys.stderr)
         return BROKEN
 
 
@@ -55,25 +55,25 @@ def _rehearse(options: argparse.Namespace) -> int:
     robot = read_robot_files(options.robot_xacro, options.robot_config, options.robot_xacro_args)
     drives = "" if options.drives == "none" else options.drives
     payload = _numbers("--payload", options.payload, "MASS or MASS,X,Y,Z [kg], [m]") if options.payload else []
-    arm = prepared(robot, options.self_collision, drives, options.tool, tuple(payload))
+    arm = load_rehearsal(robot, options.self_collision, drives, options.tool, tuple(payload))
     tool = read_tool(options.tool) if options.tool else None
     scene = read_scene(options.scene)
     if tool is not None:
         for item in tool_objects(tool, robot.tip_link):
             scene = scene.add(item)
-    given = dict(map(_mass, options.mass))
+    given_masses = dict(map(_mass, options.mass))
     bodies = {body_of(name) for name in scene.names}
-    if unknown := given.keys() - bodies:
+    if unknown := given_masses.keys() - bodies:
         raise _wrong(
             "--mass", ", ".join(sorted(unknown)), f"bodies of the scene: {', '.join(sorted(bodies)) or 'none'}"
         )
-    known = given if tool is None else given | {TOOL: tool.tool.mass}
-    masses = masses_of(known, (scene,), arm.bodies, standing=given)
+    known = given_masses if tool is None else given_masses | {TOOL: tool.tool.mass}
+    masses = masses_of(known, (scene,), arm.bodies, standing=given_masses)
     rehearsal = replace(arm, masses=masses, inputs=_inputs(options, masses))
     plan = _plan(*_trajectory(options, robot), scene)
     report = rehearsal.of_plan(plan, {scene.hash: scene}, time.perf_counter)
     if options.json:
-        print(json.dumps(document(report), indent=2, sort_keys=True))
+        print(json.dumps(json_value(report), indent=2, sort_keys=True))
     else:
         table_console().print(rehearsal_table(report), soft_wrap=True)
     return {states.PASSED: PASSED, states.FAILED: FAILED}.get(report.state, BROKEN)
@@ -106,7 +106,7 @@ def _trajectory(options: argparse.Namespace, robot: RobotModel) -> tuple[Traject
                 f"plan {plan.id} has other joints than {robot.name}; give --robot-xacro and --robot-config"
             )
         return plan.trajectory, plan.id
-    waypoints = extension("planners.waypoint_file").read_waypoints(str(options.plan.absolute()), robot)
+    waypoints = import_extension("planners.waypoint_file").read_waypoints(str(options.plan.absolute()), robot)
     start = waypoints.positions[0] if len(waypoints.positions) > 1 else np.array(robot.home)
     return plan_waypoints(waypoints, start, robot), ""
 

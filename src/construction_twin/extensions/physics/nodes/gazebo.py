@@ -15,14 +15,14 @@ import pydantic
 import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.files import write_whole
+from construction_twin.core.files import write_atomically
 from construction_twin.extensions.physics.drive import read_drives
 from construction_twin.extensions.physics.gazebo_world import check_serial, world_of
 from construction_twin.msg import Scene as SceneMsg
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.diagnostics import ERROR, WARN, Report
-from construction_twin.ros.shared.node_shell import Interface, NodeShell, Ports, Shared, Subscription
+from construction_twin.ros.shared.diagnostics import ERROR, WARN, Diagnosis
+from construction_twin.ros.shared.node_shell import Interface, NodeIO, NodeShell, Shared, Subscription
 from construction_twin.ros.shared.params import PrivateSettings, ros_home
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene
@@ -46,14 +46,14 @@ class Settings(PrivateSettings):
 class GazeboNode:
     """A scene in; it becomes the server that simulates it."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: NodeIO):
         self._bodies, self._drives = RobotBodies(robot), read_drives(settings.drives, robot)
         self._priority, self._server = settings.realtime, find_gzserver(settings.gzserver)
         #: For the world and its meshes.
         self._folder = (ros_home() / "construction_twin" / f"{robot.name}_gazebo").absolute()
-        self._refuse = ports.diagnostics.refuse
+        self._refuse = node_io.diagnostics.refuse
         self._scenes: Queue[Scene] = Queue()
-        self._problem = ""
+        self._fault = ""
 
     def on_scene(self, message: SceneMsg) -> None:
         """Take a scene."""
@@ -73,7 +73,7 @@ class GazeboNode:
             except Empty:
                 continue
             except (ConstructionTwinError, OSError) as error:
-                self._problem = str(error)
+                self._fault = str(error)
                 self._refuse("world", str(error))
                 continue
             if rospy.is_shutdown():
@@ -85,18 +85,18 @@ class GazeboNode:
     def _write(self, scene: Scene) -> Path:
         world = world_of(self._bodies, scene, self._drives, self._folder, self._priority)
         for name, contents in world.meshes.items():
-            write_whole(self._folder / name, contents)
+            write_atomically(self._folder / name, contents)
         path = self._folder / "twin.world"
-        write_whole(path, world.sdf)
+        write_atomically(path, world.sdf)
         for remark in world.remarks:
             rospy.loginfo("%s", remark)
         return path
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
-        if self._problem:
-            return Report(ERROR, self._problem)
-        return Report(WARN, "Gazebo is started when the scene is known")
+        if self._fault:
+            return Diagnosis(ERROR, self._fault)
+        return Diagnosis(WARN, "Gazebo is started when the scene is known")
 
 
 def find_gzserver(words: str) -> list[str]:
@@ -124,7 +124,7 @@ def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
 
 
 INTERFACE = Interface(
-    report=GazeboNode.report, hears=(Subscription("scene", SceneMsg, GazeboNode.on_scene, queue_size=1),)
+    diagnose=GazeboNode.diagnose, subscribes=(Subscription("scene", SceneMsg, GazeboNode.on_scene, queue_size=1),)
 )
 NODE = NodeShell("gazebo", Settings, GazeboNode, INTERFACE, check)
 main = NODE.run

@@ -21,11 +21,11 @@ from construction_twin.core.worker import Worker
 from construction_twin.extensions.physics.drive import read_drives
 from construction_twin.extensions.physics.known_mass import element_masses, tool_mass
 from construction_twin.extensions.physics.mass import payload_of
-from construction_twin.extensions.physics.process import PROGRAM, Question, digest, file_digest
+from construction_twin.extensions.physics.process import PROGRAM, RehearsalRequest, digest, file_digest
 from construction_twin.msg import Plan as PlanMsg
 from construction_twin.msg import Rehearsal, Review, WorkTasks
 from construction_twin.msg import Scene as SceneMsg
-from construction_twin.review.rehearsal_report import BROKEN, PASSED, RehearsalReport, finished, first_reason
+from construction_twin.review.rehearsal_report import BROKEN, PASSED, RehearsalReport, first_reason, with_hash
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.plan import Plan
@@ -33,8 +33,8 @@ from construction_twin.robot.tool import read_tool, tool_hash
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.diagnostics import OK, WARN, Report
-from construction_twin.ros.shared.node_shell import Interface, NodeShell, Ports, Publication, Shared, Subscription
+from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
+from construction_twin.ros.shared.node_shell import Interface, NodeIO, NodeShell, Publication, Shared, Subscription
 from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.scene.objects import Scene
@@ -77,9 +77,9 @@ class _Job(NamedTuple):
 class RehearsalNode:
     """Plans and scenes in, what their rehearsal found out."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: NodeIO):
         self._time_limit = settings.time_limit
-        self._output, self._diagnostics = ports.publishers["rehearsal"], ports.diagnostics
+        self._output, self._diagnostics = node_io.publishers["rehearsal"], node_io.diagnostics
         self._process = Worker(PROGRAM)
         self._arm = {"robot": robot, "payload": tuple(settings.payload)} | {
             name: getattr(settings, name) for name in ("self_collision", "drives", "tool")
@@ -119,7 +119,7 @@ class RehearsalNode:
             self._diagnostics.refuse("scene", str(error))
             return
         with self._news:
-            _put_newest(self._scenes, scene.hash, scene)
+            _store_newest(self._scenes, scene.hash, scene)
             self._news.notify_all()
 
     def on_tasks(self, message: WorkTasks) -> None:
@@ -142,7 +142,7 @@ class RehearsalNode:
         with self._news:
             # the executor may be the first to hear of it
             if job.plan.id not in self._withdrawn:
-                _put_newest(self._jobs, job.plan.id, job)
+                _store_newest(self._jobs, job.plan.id, job)
                 self._supersede()
 
     def on_review(self, message: Review) -> None:
@@ -203,12 +203,12 @@ class RehearsalNode:
                         task=job.plan.task,
                     )
                 )
-            report = self._ask(Question.of(job.plan, scene, job.changes, known, placed, self._constant))
+            report = self._rehearse(RehearsalRequest.of(job.plan, scene, job.changes, known, placed, self._constant))
         except ConstructionTwinError as error:
             why = Sentence("it took longer than {limit:g} s", limit=self._time_limit) if self._late else str(error)
             reasons = (Sentence("the rehearsal broke off: {problem}", problem=why),)
             broken = RehearsalReport(job.plan.id, job.plan.hash, job.plan.scene, self._tool, "", BROKEN, reasons)
-            report = finished(broken, time.monotonic() - began)
+            report = with_hash(broken, time.monotonic() - began)
         with self._news:
             self._running = None
             superseded = self._superseded
@@ -222,19 +222,19 @@ class RehearsalNode:
         if superseded:
             self._dropped += 1
             return
-        self._tell(replace(report, stamp=now_ns()))
+        self._publish_report(replace(report, stamp=now_ns()))
 
     def _is_ready(self, job: _Job) -> bool:
         """Return whether all is known that a plan is rehearsed with; under the lock."""
         return job.plan.scene in self._scenes and (self._knows_tasks or not job.plan.task)
 
-    def _ask(self, question: Question) -> RehearsalReport:
-        """Have a plan rehearsed, for as long as that may take."""
+    def _rehearse(self, request: RehearsalRequest) -> RehearsalReport:
+        """Rehearse a plan in the other process, within the time limit."""
         limit = threading.Timer(self._time_limit, self._expire)
         limit.daemon = True
         limit.start()
         try:
-            return self._process.ask("rehearse", arm=self._arm, question=question)
+            return self._process.ask("rehearse", arm=self._arm, request=request)
         finally:
             limit.cancel()
 
@@ -244,7 +244,7 @@ class RehearsalNode:
                 self._late = True
                 self._process.interrupt()
 
-    def _tell(self, report: RehearsalReport) -> None:
+    def _publish_report(self, report: RehearsalReport) -> None:
         self._last = report
         self._rehearsed += 1
         self._broken += report.state == BROKEN
@@ -253,29 +253,29 @@ class RehearsalNode:
         why = "".join(f"; {reason}" for reason in report.reasons)
         said("rehearsal of plan %s: %s in %.2f s%s", report.plan_id, report.state, report.took, why)
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         if self._absent:
-            return Report(OK, self._absent)
+            return Diagnosis(OK, self._absent)
         last, running = self._last, self._running
         values: dict[str, object] = {"rehearsals": self._rehearsed, "broken": self._broken, "superseded": self._dropped}
         if running is not None:
-            return Report(OK, f"rehearses plan {running.plan.id}", values)
+            return Diagnosis(OK, f"rehearses plan {running.plan.id}", values)
         if last is None:
-            return Report(OK, "no plan was rehearsed yet", values)
+            return Diagnosis(OK, "no plan was rehearsed yet", values)
         values |= {"took": f"{last.took:.2f}", "engine": last.engine}
         if last.state == PASSED:
-            return Report(OK, f"plan {last.plan_id}: passed", values)
+            return Diagnosis(OK, f"plan {last.plan_id}: passed", values)
         level, word = (WARN, "the rehearsal broke off") if last.state == BROKEN else (OK, "failed")
-        return Report(level, f"plan {last.plan_id}: {word}: {first_reason(last.reasons)}", values)
+        return Diagnosis(level, f"plan {last.plan_id}: {word}: {first_reason(last.reasons)}", values)
 
 
-def _put_newest(kept: dict, key: str, value: object) -> None:
+def _store_newest(stored: dict, key: str, value: object) -> None:
     """Put a value last, and forget the oldest."""
-    kept.pop(key, None)
-    kept[key] = value
-    while len(kept) > _KEPT:
-        del kept[next(iter(kept))]
+    stored.pop(key, None)
+    stored[key] = value
+    while len(stored) > _KEPT:
+        del stored[next(iter(stored))]
 
 
 def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
@@ -290,9 +290,9 @@ def check(settings: Settings, robot: RobotModel, _shared: Shared) -> None:
 
 
 INTERFACE = Interface(
-    report=RehearsalNode.report,
+    diagnose=RehearsalNode.diagnose,
     publishes=(Publication("rehearsal", Rehearsal, queue_size=2, latch=True),),
-    hears=(
+    subscribes=(
         Subscription("scene", SceneMsg, RehearsalNode.on_scene, queue_size=5),
         Subscription("work/tasks", WorkTasks, RehearsalNode.on_tasks, queue_size=1),
         Subscription("plan", PlanMsg, RehearsalNode.on_plan, queue_size=2),

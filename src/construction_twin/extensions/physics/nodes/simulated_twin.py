@@ -24,7 +24,7 @@ class SimulatedTwin:
 
     Attributes:
         scene: Hash of the simulated scene.
-        scene_problem: Why the newest scene is not simulated; empty: it is.
+        scene_fault: Why the newest scene is not simulated; empty: it is.
     """
 
     def __init__(self, settings, robot: RobotModel, refuse: Callable[[str, str], None]):
@@ -34,7 +34,7 @@ class SimulatedTwin:
         #: Takes `scene`, and `masses` of bodies that the arm carries; returns the arm in it, and may take its time.
         self._build = partial(Worker(PROGRAM).ask, "build", arm=arm)
         self._refuse = refuse
-        self.scene, self.scene_problem = "", ""
+        self.scene, self.scene_fault = "", ""
         #: Of the elements that are to be placed, and of the tool [kg].
         self._masses: dict[str, float] = {}
         self._tool_mass = tool_mass(settings.tool)
@@ -43,18 +43,18 @@ class SimulatedTwin:
         """Build the arm in a scene, and go on in it. In rospy's thread of this connection, which may wait."""
         if message.hash == self.scene:
             # of a scene between that could not be simulated nothing is left
-            self.scene_problem = ""
+            self.scene_fault = ""
             return
         try:
             scene = scene_from_msg(message)
             model = self._build(scene=scene, masses=self._masses | self._tool_mass)
         except ConstructionTwinError as error:
             # the simulation goes on in the scene before
-            self.scene_problem = str(error)
+            self.scene_fault = str(error)
             self._refuse("scene", str(error))
             return
-        self.twin.take_model(model)
-        self.scene, self.scene_problem = scene.hash, ""
+        self.twin.set_model(model)
+        self.scene, self.scene_fault = scene.hash, ""
         rospy.loginfo("simulates scene %s", scene.hash[:12])
         for remark in model.remarks:
             rospy.loginfo("%s", remark)

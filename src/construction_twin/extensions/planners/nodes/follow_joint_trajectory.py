@@ -33,12 +33,12 @@ from construction_twin.extensions.planners.nodes.joint_goals import (
 from construction_twin.extensions.planners.tracking import Tracking
 from construction_twin.extensions.planners.trajectory_goals import (
     Accept,
-    Ask,
     Brake,
     Effect,
     End,
     Ending,
     GoalPlan,
+    RequestPlan,
     ResultCode,
     Status,
     TrajectoryGoal,
@@ -48,11 +48,11 @@ from construction_twin.extensions.planners.trajectory_goals import (
 from construction_twin.msg import Execution, Feedback, PlanCaller, Review
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import BY_ACTION
-from construction_twin.ros.shared.diagnostics import OK, Report
+from construction_twin.ros.shared.diagnostics import OK, Diagnosis
 from construction_twin.ros.shared.node_shell import (
     Interface,
+    NodeIO,
     NodeShell,
-    Ports,
     PoseSubscription,
     Publication,
     Shared,
@@ -107,7 +107,7 @@ class Client:
 class FollowJointTrajectoryNode:
     """ROS around TrajectoryGoals."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: NodeIO):
         self._messages = control_messages()
         self._robot = robot
         self._retime = settings.retime
@@ -124,11 +124,11 @@ class FollowJointTrajectoryNode:
         self._tracking = Tracking(settings.arm != "none")
         self._needs_poses = threading.Event()
         self._fed_back = 0.0
-        self._taken = 0
+        self._goal_count = 0
         self._last = self._described = "no goal yet"
         self._caller: tuple[str, bool] | None = None
-        self._caller_publisher = ports.publishers["plan_caller"]
-        self._diagnostics = ports.diagnostics
+        self._caller_publisher = node_io.publishers["plan_caller"]
+        self._diagnostics = node_io.diagnostics
         self._names = settings.action_names
         self._servers: list[GoalServer] = []
 
@@ -136,8 +136,8 @@ class FollowJointTrajectoryNode:
         server: GoalServer = GoalServer(
             name,
             self._messages.FollowJointTrajectoryAction,
-            lambda handle: self._put(self._take_goal, server, handle),
-            lambda handle: self._put(self._goals.on_cancel, _key(server, handle)),
+            lambda handle: self._enqueue(self._on_goal, server, handle),
+            lambda handle: self._enqueue(self._goals.on_cancel, _key(server, handle)),
             self._diagnostics.refuse,
             functools.partial(self._result, ResultCode.GOAL_TOLERANCE_VIOLATED),
         )
@@ -145,40 +145,40 @@ class FollowJointTrajectoryNode:
         return server
 
     def run(self) -> None:
-        """Do what has happened, and look at poses and clock, until shutdown."""
+        """Handle events, and tick, until shutdown."""
         # here it can follow what becomes of a goal
         self._servers = [self._serve(name) for name in self._names]
-        looks = time.monotonic()
+        next_tick = time.monotonic()
         while not rospy.is_shutdown():
             now = time.monotonic()
-            if now >= looks:
-                looks = max(looks + PERIOD, now) if self._is_busy() else now + IDLE_PERIOD
-                self._look()
+            if now >= next_tick:
+                next_tick = max(next_tick + PERIOD, now) if self._is_busy() else now + IDLE_PERIOD
+                self._tick()
             else:
                 try:
-                    self._inbox.get(timeout=looks - now)()
+                    self._inbox.get(timeout=next_tick - now)()
                 except queue.Empty:
                     continue
-            for effect in self._goals.take_effects():
-                self._do(effect)
+            for effect in self._goals.pop_effects():
+                self._apply(effect)
             self._described = self._goals.describe()
             if self._goals.state in FOLLOWED:
                 self._needs_poses.set()
             else:
                 self._needs_poses.clear()
             if self._is_busy():
-                looks = min(looks, time.monotonic() + PERIOD)
+                next_tick = min(next_tick, time.monotonic() + PERIOD)
 
     def _is_busy(self) -> bool:
         return self._goals.state is not GoalState.FREE or bool(self._clients)
 
-    def _look(self) -> None:
+    def _tick(self) -> None:
         with self._poses:
             tracking = self._tracking
             sample, at_rest, settled = tracking.sample(), tracking.at_rest, tracking.settled
         now = time.monotonic()
         self._goals.tick(time.monotonic_ns(), sample, at_rest, settled)
-        self._tell_caller()
+        self._publish_caller()
         goal = self._goals.goal
         if goal is None or sample is None or goal.id not in self._clients:
             return
@@ -191,8 +191,8 @@ class FollowJointTrajectoryNode:
             fill_feedback(feedback, sample, self._goals.plan_start, client.order)
             client.handle.publish_feedback(feedback)
 
-    def _tell_caller(self) -> None:
-        """Tell whoever reviews whether the client of the plan under review is still there: it may have given up without a word."""
+    def _publish_caller(self) -> None:
+        """Publish for reviewers whether the client of the plan under review is still connected."""
         goals = self._goals
         if goals.state is not GoalState.REVIEW or goals.goal is None or goals.plan is None:
             return
@@ -229,7 +229,7 @@ class FollowJointTrajectoryNode:
 
     def on_review(self, message: Review) -> None:
         """Take a verdict."""
-        self._put(self._goals.on_verdict, message.plan_id, message.approved, message.reviewer, message.reason)
+        self._enqueue(self._goals.on_verdict, message.plan_id, message.approved, message.reviewer, message.reason)
 
     def on_execution(self, message: Execution) -> None:
         """Take what the executor does."""
@@ -238,21 +238,21 @@ class FollowJointTrajectoryNode:
             self._diagnostics.refuse("execution", unknown)
             return
         state, start = ExecutorState(message.state), from_time(message.plan_start)
-        self._put(self._goals.on_execution, message.plan_id, state, message.outcome, message.reason, start)
+        self._enqueue(self._goals.on_execution, message.plan_id, state, message.outcome, message.reason, start)
 
-    def _put(self, take: Callable[..., None], *arguments: object) -> None:
-        self._inbox.put(lambda: take(*arguments, time.monotonic_ns()))
+    def _enqueue(self, handle: Callable[..., None], *arguments: object) -> None:
+        self._inbox.put(lambda: handle(*arguments, time.monotonic_ns()))
 
     # -- what was in the inbox
 
-    def _take_goal(self, server: GoalServer, handle: ServerGoalHandle, now: int) -> None:
+    def _on_goal(self, server: GoalServer, handle: ServerGoalHandle, now: int) -> None:
         goal, client, goal_id = handle.get_goal(), caller_of(handle.goal), _key(server, handle)
-        self._taken += 1
+        self._goal_count += 1
         names = goal.trajectory.joint_names
         try:
             if not names and not goal.trajectory.points:
                 goal.trajectory.joint_names = names = list(self._robot.joint_names)
-            taken = trajectory_goal(goal, goal_id, client, self._robot, self._defaults)
+            checked_goal = trajectory_goal(goal, goal_id, client, self._robot, self._defaults)
         except GoalError as error:
             code = ResultCode.INVALID_JOINTS if isinstance(error, GoalJointsError) else ResultCode.INVALID_GOAL
             self._last = f"goal of {client} rejected: {error}"
@@ -260,12 +260,12 @@ class FollowJointTrajectoryNode:
             handle.set_rejected(self._result(code, str(error)), str(error))
             return
         self._clients[goal_id] = Client(server, handle, tuple(self._robot.joint_names.index(name) for name in names))
-        (self._goals.on_goal if goal.trajectory.points else self._goals.on_stand_still)(taken, now)
+        (self._goals.on_goal if goal.trajectory.points else self._goals.on_stand_still)(checked_goal, now)
 
     # -- effects
 
-    def _do(self, effect: Effect) -> None:
-        if isinstance(effect, Ask):
+    def _apply(self, effect: Effect) -> None:
+        if isinstance(effect, RequestPlan):
             self._in_background(self._plan, effect.goal, self._clients[effect.goal.id].handle.get_goal().trajectory)
         elif isinstance(effect, Withdraw):
             verdict = {"approve": False, "reviewer": f"client {effect.client}", "reason": effect.reason}
@@ -277,7 +277,7 @@ class FollowJointTrajectoryNode:
             rospy.loginfo("goal of %s: %s", caller_of(self._clients[effect.goal_id].handle.goal), effect.text)
             self._clients[effect.goal_id].handle.set_accepted(effect.text)
         elif isinstance(effect, Status):
-            self._tell(self._clients[effect.goal_id], effect.text)
+            self._send_status(self._clients[effect.goal_id], effect.text)
         else:
             self._end(effect)
 
@@ -286,7 +286,7 @@ class FollowJointTrajectoryNode:
         threading.Thread(target=call, args=arguments, daemon=True, name=call.__name__).start()
 
     @staticmethod
-    def _tell(client: Client, text: str) -> None:
+    def _send_status(client: Client, text: str) -> None:
         with client.server.lock:
             client.handle.get_goal_status().text = text
             client.server.publish_status()
@@ -323,15 +323,15 @@ class FollowJointTrajectoryNode:
             sentence = (
                 f"the planner gave no answer ({error}); see whether the node planner runs, and send the goal again"
             )
-            self._put(self._goals.on_not_planned, sentence)
+            self._enqueue(self._goals.on_not_planned, sentence)
             return
         if answer.success:
-            self._put(
+            self._enqueue(
                 self._goals.on_planned,
                 GoalPlan(answer.plan_id, answer.plan_hash, answer.duration, asked_duration(trajectory), answer.retimed),
             )
         else:
-            self._put(self._goals.on_not_planned, answer.message)
+            self._enqueue(self._goals.on_not_planned, answer.message)
 
     def _call(self, service: str, kind: type, fields: Mapping[str, object]) -> None:
         try:
@@ -345,12 +345,12 @@ class FollowJointTrajectoryNode:
             done = False
         if not done:
             # the plan has not reached the executor yet, or its verdict, start or end has just crossed this, which will be heard of
-            self._put(self._goals.on_call_failed)
+            self._enqueue(self._goals.on_call_failed)
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
-        values = {"goals": self._taken, "last goal": self._last}
-        return Report(OK, self._described, values)
+        values = {"goals": self._goal_count, "last goal": self._last}
+        return Diagnosis(OK, self._described, values)
 
 
 def _key(server: GoalServer, handle: ServerGoalHandle) -> str:
@@ -358,9 +358,9 @@ def _key(server: GoalServer, handle: ServerGoalHandle) -> str:
 
 
 INTERFACE = Interface(
-    report=FollowJointTrajectoryNode.report,
+    diagnose=FollowJointTrajectoryNode.diagnose,
     publishes=(Publication("plan_caller", PlanCaller, queue_size=5, latch=True),),
-    hears=(
+    subscribes=(
         PoseSubscription("twin/joint_states", FollowJointTrajectoryNode.on_twin, queue_size=1),
         PoseSubscription("physical/feedback", FollowJointTrajectoryNode.on_feedback, 1, Feedback, when=has_arm),
         Subscription("review", Review, FollowJointTrajectoryNode.on_review, queue_size=20),

@@ -61,8 +61,8 @@ class GoalServer(ActionServer):
         self.status_pub = Publisher(f"{self.ns}/status", GoalStatusArray, queue_size=QUEUE, latch=True)
         self.result_pub = Publisher(f"{self.ns}/result", self.ActionResult, queue_size=QUEUE)
         self.feedback_pub = Publisher(f"{self.ns}/feedback", self.ActionFeedback, queue_size=QUEUE)
-        self.goal_sub = self._hear("goal", self.ActionGoal, self.internal_goal_callback)
-        self.cancel_sub = self._hear("cancel", GoalID, self.internal_cancel_callback)
+        self.goal_sub = self._subscribe("goal", self.ActionGoal, self.internal_goal_callback)
+        self.cancel_sub = self._subscribe("cancel", GoalID, self.internal_cancel_callback)
         self.status_list_timeout = rospy.Duration(STATUS_KEPT)
         self.status_timer = rospy.Timer(rospy.Duration(1.0 / STATUS_RATE), self.publish_status_async)
 
@@ -104,7 +104,7 @@ class GoalServer(ActionServer):
                 self._refused("repeated goal", f"goal {goal.goal_id.id!r} of {caller_of(goal)} dropped: {sentence}")
             super().internal_goal_callback(goal)
 
-    def _hear(self, topic: str, kind: type, callback: Callable) -> Subscriber:
+    def _subscribe(self, topic: str, kind: type, callback: Callable) -> Subscriber:
         return Subscriber(f"{self.ns}/{topic}", kind, callback, self._refused, queue_size=QUEUE, tcp_nodelay=True)
 
 
@@ -174,7 +174,7 @@ def trajectory_goal(goal, goal_id: str, client: str, robot: RobotModel, defaults
     return TrajectoryGoal(
         goal_id,
         client,
-        defaults.goal.asked(robot, goal.goal_tolerance),
+        defaults.goal.overridden_by(robot, goal.goal_tolerance),
         seconds or defaults.time_tolerance,
         (goal.trajectory.joint_names, goal.trajectory.points),
     )

@@ -20,7 +20,7 @@ from construction_twin.extensions.planners.planner_scene import PlannerObject, P
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.robot.urdf import parse_urdf
-from construction_twin.ros.transport.publisher import Sink
+from construction_twin.ros.transport.publisher import AnyPublisher
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import SelfCollision
@@ -42,30 +42,30 @@ def moveit_types() -> MoveitTypes:
 class PlanningScenePublisher:
     """Publishes scenes as `moveit_msgs/PlanningScene`."""
 
-    def __init__(self, types: MoveitTypes, robot: RobotModel, self_collision: SelfCollision, publisher: Sink):
+    def __init__(self, types: MoveitTypes, robot: RobotModel, self_collision: SelfCollision, publisher: AnyPublisher):
         self._types = types
         self._bodies = RobotBodies(robot)
         self._self_collision = self_collision
         self._publisher = publisher
         self._robot_name = parse_urdf(robot.urdf).name
-        self._told: set[str] = set()
+        self._published: set[str] = set()
         self._carried: set[str] = set()
 
     def publish(self, scene: Scene, stamp: genpy.Time) -> None:
         """Publish a scene that was checked before."""
-        told = planner_scene(self._bodies, scene, self._self_collision)
-        carried = {item.name for item in told.objects if item.carried}
-        gone, put_down = self._told - set(scene.names), self._carried - carried
+        scene_of_planner = planner_scene(self._bodies, scene, self._self_collision)
+        carried = {item.name for item in scene_of_planner.objects if item.carried}
+        gone, put_down = self._published - set(scene.names), self._carried - carried
         if gone or put_down:
-            change = planning_scene_message(self._types, told, self._robot_name, stamp, gone, put_down)
+            change = planning_scene_message(self._types, scene_of_planner, self._robot_name, stamp, gone, put_down)
             self._publisher.publish(change)
-        self._told, self._carried = set(scene.names), carried
-        self._publisher.publish(planning_scene_message(self._types, told, self._robot_name, stamp))
+        self._published, self._carried = set(scene.names), carried
+        self._publisher.publish(planning_scene_message(self._types, scene_of_planner, self._robot_name, stamp))
 
 
 def planning_scene_message(
     types: MoveitTypes,
-    told: PlannerScene,
+    scene_of_planner: PlannerScene,
     robot_name: str,
     stamp: genpy.Time,
     gone: Collection[str] = (),
@@ -85,20 +85,22 @@ def planning_scene_message(
         removed = moveit.AttachedCollisionObject()
         removed.object.id, removed.object.operation = name, moveit.CollisionObject.REMOVE
         attached.append(removed)
-    for item in told.objects:
-        thing = _object(types, item, stamp)
+    for item in scene_of_planner.objects:
+        collision_object = _object(types, item, stamp)
         if item.carried:
             attached.append(
-                moveit.AttachedCollisionObject(link_name=item.frame, object=thing, touch_links=list(item.touch_links))
+                moveit.AttachedCollisionObject(
+                    link_name=item.frame, object=collision_object, touch_links=list(item.touch_links)
+                )
             )
         else:
-            message.world.collision_objects.append(thing)
+            message.world.collision_objects.append(collision_object)
     message.world.collision_objects += _removed(types, gone)
     matrix = message.allowed_collision_matrix
-    matrix.entry_names = list(told.names)
-    matrix.entry_values = [moveit.AllowedCollisionEntry(enabled=row.tolist()) for row in told.allowed]
-    matrix.default_entry_names = list(told.fixed_links)
-    matrix.default_entry_values = [True] * len(told.fixed_links)
+    matrix.entry_names = list(scene_of_planner.names)
+    matrix.entry_values = [moveit.AllowedCollisionEntry(enabled=row.tolist()) for row in scene_of_planner.allowed]
+    matrix.default_entry_names = list(scene_of_planner.fixed_links)
+    matrix.default_entry_values = [True] * len(scene_of_planner.fixed_links)
     return message
 
 
@@ -108,17 +110,17 @@ def _removed(types: MoveitTypes, names: Iterable[str]) -> list:
 
 
 def _object(types: MoveitTypes, item: PlannerObject, stamp: genpy.Time):
-    thing = types.moveit.CollisionObject(id=item.name, operation=types.moveit.CollisionObject.ADD)
-    thing.header.frame_id, thing.header.stamp = item.frame, stamp
+    collision_object = types.moveit.CollisionObject(id=item.name, operation=types.moveit.CollisionObject.ADD)
+    collision_object.header.frame_id, collision_object.header.stamp = item.frame, stamp
     pose = PoseMsg(Point(*item.pose.position), Quaternion(*rotation_to_quaternion(item.pose.rotation)))
     # of versions with a pose of the object's own, MoveIt takes the only shape's when that is not set
-    if hasattr(thing, "pose"):
-        thing.pose.orientation.w = 1.0
+    if hasattr(collision_object, "pose"):
+        collision_object.pose.orientation.w = 1.0
     if item.shape == "mesh":
-        thing.meshes, thing.mesh_poses = [_mesh(types, item)], [pose]
+        collision_object.meshes, collision_object.mesh_poses = [_mesh(types, item)], [pose]
     else:
-        thing.primitives, thing.primitive_poses = [_primitive(types, item)], [pose]
-    return thing
+        collision_object.primitives, collision_object.primitive_poses = [_primitive(types, item)], [pose]
+    return collision_object
 
 
 def _mesh(types: MoveitTypes, item: PlannerObject):

@@ -17,7 +17,7 @@ from rich.table import Table
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused
 from construction_twin.core.files import check_writable
-from construction_twin.core.records import document, dumped
+from construction_twin.core.records import json_value, to_json
 from construction_twin.core.reports import TaskReport, WorkReport
 from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.msg import Execution, Link, Sync, ToolState, WorkTask, WorkTasks
@@ -63,7 +63,7 @@ class Builder:
         self._settings, self._console = settings, console
         self._client = OperatorClient(rospy.get_namespace(), settings.timeout, PERSON)
         self._confirm = read_tool(settings.tool).tool.grip.confirm
-        self._news = threading.Condition()
+        self._message_arrived = threading.Condition()
         self._newest: dict[str, Any] = {"execution": Execution(), "link": Link(), "sync": Sync()}
         #: Times [s] and number of the plans of each task, and its last state in which something was under way.
         self._efforts: dict[str, dict[str, float]] = {}
@@ -80,30 +80,32 @@ class Builder:
         began = time.monotonic()
         self._wait(self._ready, "the system to get ready")
         self._wait(self._is_read, "a work node that reads the model", self._is_reading)
-        if self._work.schedule == "proposed":
-            self._decide(f"accepted the proposed schedule of {len(self._work.tasks)} tasks", "accept_schedule")
-            self._wait(lambda: self._work.schedule == "accepted", "the schedule to be accepted")
-        self._say(f"{self._work.model}: {len(self._work.tasks)} tasks, ready after {time.monotonic() - began:.0f} s")
-        wanted = [task.id for task in self._work.tasks][: self._settings.most or None]
+        if self._work_tasks.schedule == "proposed":
+            self._decide(f"accepted the proposed schedule of {len(self._work_tasks.tasks)} tasks", "accept_schedule")
+            self._wait(lambda: self._work_tasks.schedule == "accepted", "the schedule to be accepted")
+        self._print_line(
+            f"{self._work_tasks.model}: {len(self._work_tasks.tasks)} tasks, ready after {time.monotonic() - began:.0f} s"
+        )
+        wanted = [task.id for task in self._work_tasks.tasks][: self._settings.most or None]
         self._efforts = {task: {"plans": 0, "planning_s": 0.0, "motion_s": 0.0} for task in wanted}
-        problem = ""
+        failure = ""
         try:
             for number, task in enumerate(wanted, start=1):
-                self._do(task, f"{number} of {len(wanted)}")
+                self._finish_task(task, f"{number} of {len(wanted)}")
         except (ConstructionTwinError, rospy.ROSException, rospy.ServiceException) as error:
-            problem = str(error)
-        tasks = [task for task in from_msg(WorkReport, self._work).tasks if task.id in self._efforts]
+            failure = str(error)
+        tasks = [task for task in from_msg(WorkReport, self._work_tasks).tasks if task.id in self._efforts]
         missing = [task.name for task in tasks if task.state != "done"]
-        if missing and not problem:
-            problem = f"{len(missing)} of {len(wanted)} tasks are not done: {', '.join(missing)}"
+        if missing and not failure:
+            failure = f"{len(missing)} of {len(wanted)} tasks are not done: {', '.join(missing)}"
         file = self._write(tasks)
-        if problem:
-            raise ConstructionTwinError(f"{problem}; see {file}")
+        if failure:
+            raise ConstructionTwinError(f"{failure}; see {file}")
         return file
 
     def _write(self, tasks: Collection[TaskReport]) -> Path:
         """Show what every task came to, and write it with what was decided; return the file."""
-        elements = [{**document(task), **self._efforts[task.id]} for task in tasks]
+        elements = [{**json_value(task), **self._efforts[task.id]} for task in tasks]
         done = sum(task.state == "done" for task in tasks)
         table = Table(*(name.replace("_", " ") for name in _SHOWN))
         for each in elements:
@@ -115,13 +117,13 @@ class Builder:
         directory.mkdir(parents=True)
         file = directory / "work.json"
         counts = {"tasks": len(tasks), "done": done}
-        file.write_bytes(dumped({**counts, "decisions": self._decisions, "elements": elements}))
+        file.write_bytes(to_json({**counts, "decisions": self._decisions, "elements": elements}))
         point_latest(results, directory)
         return file
 
     # -- one task
 
-    def _do(self, task: str, title: str) -> None:
+    def _finish_task(self, task: str, title: str) -> None:
         while (row := self._row(task)).state not in _SETTLED:
             if row.state == "asks":
                 self._answer(row)
@@ -133,7 +135,7 @@ class Builder:
         effort = self._efforts[task]
         far = f", {row.deviation_mm:.3f} mm off" if math.isfinite(row.deviation_mm) else ""
         took = f"planned in {effort['planning_s']:.1f} s, {effort['motion_s']:.1f} s of motion"
-        self._say(f"{title}: {row.name}: {row.state}, {took}{far}")
+        self._print_line(f"{title}: {row.name}: {row.state}, {took}{far}")
 
     def _plan_and_play(self, row: WorkTask, title: str) -> None:
         effort = self._efforts[row.id]
@@ -148,13 +150,13 @@ class Builder:
         effort |= {"plans": effort["plans"] + 1, "planning_s": time.monotonic() - asked}
         verdict = ReviewRequest(plan_id, plan_hash, "approved", PERSON, "nobody is near a mock arm")
         self._wait(partial(self._approve, verdict), f"plan {plan_id} to be approved")
-        self._note(f"approved plan {plan_id} of {row.name}, hash {plan_hash[:12]}")
+        self._record(f"approved plan {plan_id} of {row.name}, hash {plan_hash[:12]}")
         began = time.monotonic()
         self._wait(partial(self._is_over, plan_id), f"plan {plan_id} to end", self._is_playing)
         effort["motion_s"] = time.monotonic() - began
         execution = self._newest["execution"]
         if execution.outcome != "finished":
-            self._say(f"{title}: {execution.outcome}: {execution.reason}")
+            self._print_line(f"{title}: {execution.outcome}: {execution.reason}")
         self._wait(lambda: self._row(row.id).state not in _UNDER_WAY, f"the ledger to know what became of {row.id}")
 
     def _approve(self, verdict: ReviewRequest) -> bool:
@@ -175,26 +177,26 @@ class Builder:
         if not answer:
             known = ", ".join(row.answers)
             raise ConstructionTwinError(f"{row.name}: {row.question}: none of {known} is known to be true")
-        self._say(f"asked: {row.question} Answer: {answer}")
+        self._print_line(f"asked: {row.question} Answer: {answer}")
         self._decide(f"answered {answer} for {row.name}: {row.question}", "answer", row.id, answer)
         self._wait(lambda: self._row(row.id).state != "asks", f"the answer to task {row.id} to be taken")
 
     def _decide(self, what: str, decision: str, task: str = "", answer: str = "") -> None:
         fields = {"task": task, "decision": decision, "answer": answer, "person": PERSON, "reason": "a mock arm"}
         self._client.ask("work/decide", WorkDecide, **fields)
-        self._note(what)
+        self._record(what)
 
-    def _note(self, what: str) -> None:
+    def _record(self, what: str) -> None:
         self._decisions.append({"time": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "person": PERSON, "what": what})
 
     # -- what is known
 
     @property
-    def _work(self) -> WorkTasks:
+    def _work_tasks(self) -> WorkTasks:
         return self._newest["work/tasks"]
 
     def _row(self, task: str) -> WorkTask:
-        return next(one for one in self._work.tasks if one.id == task)
+        return next(one for one in self._work_tasks.tasks if one.id == task)
 
     def _ready(self) -> bool:
         link, sync, execution = (self._newest[topic].state for topic in ("link", "sync", "execution"))
@@ -236,17 +238,17 @@ class Builder:
         """Wait for the next message."""
         if rospy.is_shutdown():
             raise ConstructionTwinError("interrupted")
-        with self._news:
-            self._news.wait(_POLL)
+        with self._message_arrived:
+            self._message_arrived.wait(_POLL)
 
     def _receive(self, topic: str, message: Any) -> None:
-        with self._news:
+        with self._message_arrived:
             self._newest[topic] = message
             if topic == "work/tasks":
                 self._last |= {row.id: row.state for row in message.tasks if row.state in _UNDER_WAY}
-            self._news.notify_all()
+            self._message_arrived.notify_all()
 
-    def _say(self, text: str) -> None:
+    def _print_line(self, text: str) -> None:
         self._console.print(text, soft_wrap=True, highlight=False)
 
 
@@ -264,7 +266,7 @@ def answer_of(
     return wanted if wanted in answers else ""
 
 
-def checked(parameters: Parameters = rospy) -> Settings:
+def checked_parameters(parameters: Parameters = rospy) -> Settings:
     """Return what the node starts with; raise the ConstructionTwinError that it is refused for."""
     settings = read_parameters(Settings, parameters)
     check_writable(Path(settings.results_dir).expanduser())
@@ -277,7 +279,7 @@ def main() -> int:
     try:
         with ending_on_signals():
             rospy.init_node("build", disable_signals=True)
-            file = Builder(checked(), console).run()
+            file = Builder(checked_parameters(), console).run()
     except ConstructionTwinError as error:
         console.print(f"build: {error}", soft_wrap=True, highlight=False)
         return 1

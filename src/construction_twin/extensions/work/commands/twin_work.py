@@ -11,7 +11,7 @@ from geometry_msgs.msg import PoseStamped
 
 from construction_twin.core.errors import RequestRefused
 from construction_twin.core.reports import TaskReport, WorkReport
-from construction_twin.extensions.work.names import labels, named
+from construction_twin.extensions.work.names import labels, with_names
 from construction_twin.link.requests import GoalRequest
 from construction_twin.msg import WorkTasks
 from construction_twin.ros.messages.convert import pose_to_msg
@@ -22,7 +22,7 @@ from construction_twin.views.arguments import Exit
 from construction_twin.views.goals import pose_goal
 
 
-def chosen(tasks: Sequence[TaskReport], text: str) -> TaskReport:
+def find_task(tasks: Sequence[TaskReport], text: str) -> TaskReport:
     """Return the task that a person means by its id, its name, or the beginning of one of them, or raise RequestRefused."""
     low, found = text.lower(), []
     for fits in (
@@ -104,47 +104,49 @@ class WorkCommand:
 
     def plan_under_review(self) -> tuple[str, Callable[[str], str]]:
         """Return the id of the plan of a task that waits for approval, and what puts names of elements in place of ids."""
-        work = self._work()
+        work = self._read_work()
         found = next((task.plan_id for task in work.tasks if task.state == "planned" and task.plan_id), "")
         if not found:
             raise RequestRefused(f"no plan of a task is under review: {work.reason}; `twin work next` has one planned")
         known = labels({task.element: task.element_name for task in work.tasks})
-        return found, partial(named, known=known)
+        return found, partial(with_names, known=known)
 
     def _list(self) -> None:
-        print("\n".join(list_lines(self._work())))
+        print("\n".join(list_lines(self._read_work())))
 
     def _next(self) -> None:
-        task = chosen(self._work().tasks, self._options.task).id if self._options.task else ""
+        task = find_task(self._read_work().tasks, self._options.task).id if self._options.task else ""
         print(self._client.plan(GoalRequest("work_task", task=task)).message)
 
     def _show(self) -> None:
-        work = self._work()
-        print("\n".join(show_lines(work, chosen(work.tasks, self._options.task))))
+        work = self._read_work()
+        print("\n".join(show_lines(work, find_task(work.tasks, self._options.task))))
 
     def _decide(self, step: str) -> None:
-        work, answering = self._work(), step == "answer"
+        work, answering = self._read_work(), step == "answer"
         # of an element with a task of its own name that one is meant which asks
         asking = [task for task in work.tasks if task.question] if answering else []
         every = step == "accept" or (answering and self._options.task == ALL)
-        task = "" if every else chosen(asking or work.tasks, self._options.task).id
+        task = "" if every else find_task(asking or work.tasks, self._options.task).id
         if step == "accept":
             # what was left out or understood in some way is known before it is accepted
             print("\n".join(note_lines(work) or ["no notes on model and schedule"]))
         decision = "answer_all" if every and answering else _DECISIONS[step]
-        self._ask("decide", WorkDecide, task=task, decision=decision, answer=self._options.answer if answering else "")
+        self._call_service(
+            "decide", WorkDecide, task=task, decision=decision, answer=self._options.answer if answering else ""
+        )
 
     def _measured(self) -> None:
         pose = PoseStamped(pose=pose_to_msg(pose_goal(self._options.pose, self._options.frame)))
         pose.header.frame_id = self._options.frame
-        self._ask("measured", WorkMeasured, element=self._options.element, pose=pose)
+        self._call_service("measured", WorkMeasured, element=self._options.element, pose=pose)
 
-    def _ask(self, service: str, kind: type, **fields: object) -> None:
+    def _call_service(self, service: str, kind: type, **fields: object) -> None:
         person = self._options.person or self._account
         asked = {**fields, "person": person, "reason": self._options.reason}
         print(self._client.ask(f"work/{service}", kind, **asked).message)
 
-    def _work(self) -> WorkReport:
+    def _read_work(self) -> WorkReport:
         to_do = "start bringup with work_model and work_cell, or see why the node is down"
         message = self._client.latched("work/tasks", WorkTasks, "the work node does not report", to_do)
         return from_msg(WorkReport, message)

@@ -28,14 +28,14 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from construction_twin.core.errors import ConstructionTwinError, spoken
+from construction_twin.core.errors import ConstructionTwinError, command_message
 from construction_twin.core.extensions import check_extras
-from construction_twin.core.files import check_writable, write_whole
+from construction_twin.core.files import check_writable, write_atomically
 from construction_twin.core.share import share_file
 from construction_twin.core.worker import Worker, WorkerError, rss_mb
 from construction_twin.evaluation.tables import table_console
 from construction_twin.extensions.work.loaded_model import WORKER, LoadedModel
-from construction_twin.extensions.work.site import read_site
+from construction_twin.extensions.work.work_cell import read_work_cell
 from construction_twin.robot.description import read_robot_files
 
 if TYPE_CHECKING:
@@ -63,10 +63,10 @@ def main(arguments: list[str]) -> int:
             )
             for note in (*([proposed] if schedule.proposed else []), *checked.loaded.notes, *schedule.notes):
                 console.print(note, markup=False, soft_wrap=True)
-            write_whole(picture, cell_picture(checked.tasks, checked.loaded))
+            write_atomically(picture, cell_picture(checked.tasks, checked.loaded))
     except (ConstructionTwinError, OSError) as error:
         ended = isinstance(error, WorkerError) and not error.kind
-        said = "a process was ended, perhaps for want of memory; try --processes 1" if ended else spoken(error)
+        said = "a process was ended, perhaps for want of memory; try --processes 1" if ended else command_message(error)
         print(f"work check: {said}", file=sys.stderr)
         return NOT_CHECKED
     _print(console, checked)
@@ -84,13 +84,13 @@ class Checked:
     rss_mb: float
 
 
-def check_all(processes: int, console: Console | None = None, robot_name: str = "", **given: Any) -> Checked:
+def check_all(processes: int, console: Console | None = None, robot_name: str = "", **arguments: Any) -> Checked:
     """Check every job of a model that a robot may do, each in one of several processes.
 
     Args:
         console: Shows how many are done.
         robot_name: Empty: any. The others' elements are placed in their turn, too.
-        given: What `worker_functions.prepare` takes.
+        arguments: What `worker_functions.load_model` takes.
 
     Raises:
         WorkerError: With an empty `kind` if a process was ended, by want of memory for instance.
@@ -111,8 +111,8 @@ def check_all(processes: int, console: Console | None = None, robot_name: str = 
     with ThreadPoolExecutor(processes) as threads:
         try:
             # the others find in the cache what the first has read
-            loaded: LoadedModel = workers[0].ask("prepare", **given)
-            list(threads.map(lambda worker: worker.ask("prepare", **given), workers[1:]))
+            loaded: LoadedModel = workers[0].ask("load_model", **arguments)
+            list(threads.map(lambda worker: worker.ask("load_model", **arguments), workers[1:]))
             for worker in workers:
                 idle.put(worker)
             jobs = enumerate(loaded.schedule.jobs)
@@ -155,7 +155,7 @@ def _print(console: Console, checked: Checked) -> None:
         # numbers are shown whole; in a narrow terminal words are cut
         words = heading in ("task", "grip", "why")
         table.add_column(heading, justify="left" if words else "right", no_wrap=words, overflow="ellipsis")
-    told: list[str] = []
+    lines: list[str] = []
     for task in checked.tasks:
         numbers = zip(
             ("{:.2f}", "{:.0f}", "{:.1f}"),
@@ -167,10 +167,10 @@ def _print(console: Console, checked: Checked) -> None:
         table.add_row(*row, style="" if task.possible else "red")
         about = f"{task.number + 1} {task.name} ({task.element_name or task.element})"
         if not task.possible:
-            told.append(f"{about}: {task.stage}: {task.reason}" if task.stage else f"{about}: {task.reason}")
-        told += [f"{about}: note: {remark}" for remark in task.remarks]
+            lines.append(f"{about}: {task.stage}: {task.reason}" if task.stage else f"{about}: {task.reason}")
+        lines += [f"{about}: note: {remark}" for remark in task.remarks]
     console.print(table)
-    for line in told:
+    for line in lines:
         console.print(line, markup=False, soft_wrap=True)
     count = sum(task.possible for task in checked.tasks)
     console.print(
@@ -186,7 +186,7 @@ def cell_picture(tasks: Sequence[CheckedTask], loaded: LoadedModel) -> bytes:
     """Return a PNG of the cell from above: base, stock, places, and the tool's paths."""
     figure = Figure(figsize=(9, 7), dpi=100)
     axes = figure.add_subplot()
-    for item in read_site(loaded.cell).scene.objects:
+    for item in read_work_cell(loaded.cell).scene.objects:
         if item.shape == "box" and max(item.size[:2]) < 8.0:
             corners = np.array([(*side, 0.0) for side in _SQUARE]) * item.size / 2.0
             seen = corners @ item.pose.rotation.T + item.pose.position

@@ -35,7 +35,7 @@ _ASIDE_KINDS = (
 
 
 @dataclass(frozen=True)
-class Said:
+class LogEntry:
     """One entry of a log.
 
     Attributes:
@@ -51,8 +51,8 @@ class Said:
     missing: tuple[int, ...]
 
 
-def entries(log: str) -> Iterator[Said]:
-    """Give the errors and warnings of a log, those left out that say nothing of elements."""
+def parse_log(log: str) -> Iterator[LogEntry]:
+    """Yield the errors and warnings of a log that concern elements."""
     lines = log.splitlines()
     for line, after in zip(lines, (*lines[1:], "")):
         logged = _LOGGED.match(line)
@@ -63,7 +63,7 @@ def entries(log: str) -> Iterator[Said]:
         if after.startswith("#"):
             text = f"{text} {after.partition('(')[0]}"
         offset, missing = _OFFSET.search(text), _MISSING.search(text)
-        yield Said(
+        yield LogEntry(
             text[:_SHOWN], code or "", frozenset(map(int, _NUMBER.findall(text))),
             int(offset.group(1)) if offset else None, tuple(map(int, missing.groups())) if missing else (),
         )  # fmt: skip
@@ -91,15 +91,15 @@ class Doubts:
         self.shapes: dict[int, str] = {}
         self.related: dict[int, str] = {}
 
-    def take_parser(self, said: Collection[Said], contents: bytes, name: str) -> None:
-        """Take what the parser said of the contents that it read, and remove relations of which a part is missing.
+    def on_parser_log(self, log: Collection[LogEntry], contents: bytes, name: str) -> None:
+        """Doubt what the parser's log names, and remove relations of which a part is missing.
 
         Raises:
             BuildingError: If an instance is referred to and not in the file.
         """
-        dropped = {_line_at(contents, each.offset)[0] for each in said if each.offset is not None}
+        dropped = {_line_at(contents, each.offset)[0] for each in log if each.offset is not None}
         users: dict[int, set[int]] = defaultdict(set)
-        for entry in said:
+        for entry in log:
             if "'ENDSEC'" in entry.text:
                 raise BuildingError(name, "the file", "a last line that is broken off", "a whole IFC file")
             if entry.missing:
@@ -108,7 +108,7 @@ class Doubts:
                     broken = f"#{user} refers to #{missing}, which is not there: the file is not whole"
                     raise BuildingError(name, "the file", broken, "a whole IFC file")
                 users[missing].add(user)
-        for entry in said:
+        for entry in log:
             own, references = (0, set[int]()) if entry.offset is None else _line_at(contents, entry.offset)
             # of a line that was dropped, what it needs and what needs it is left
             more = set() if self._has(own) else references | users[own]
@@ -119,31 +119,31 @@ class Doubts:
 
     def add(self, numbers: Collection[int], why: str) -> None:
         """Doubt every element that reaches an instance, or everything if none does, or if it says where something is."""
-        said = f"the reader of the file says of what it needs: {why}"
-        found = False
-        left, seen = list(numbers), set(numbers)
+        reason = f"the reader of the file says of what it needs: {why}"
+        reached = False
+        left, visited = list(numbers), set(numbers)
         while left:
             number = left.pop()
             if not self._has(number):
                 continue
             one = self._file.by_id(number)
             if one.is_a("IfcProject") or one.is_a("IfcObjectPlacement"):
-                found = False
+                reached = False
                 break
             if one.is_a("IfcProduct"):
-                self.shapes.setdefault(_host(one), said)
+                self.shapes.setdefault(_host(one), reason)
             elif one.is_a("IfcProcess") or one.is_a("IfcRelationship"):
                 products = self._products(one)
-                self.related |= {each: said for each in products if each not in self.related}
-                found = found or bool(products)
+                self.related |= {each: reason for each in products if each not in self.related}
+                reached = reached or bool(products)
                 continue
             elif not any(one.is_a(kind) for kind in _ASIDE_KINDS):
-                more = {each.id() for each in self._file.get_inverse(one)} - seen
-                seen |= more
+                more = {each.id() for each in self._file.get_inverse(one)} - visited
+                visited |= more
                 left += more
                 continue
-            found = True
-        if not found:
+            reached = True
+        if not reached:
             self.everything = self.everything or f"{ABOUT_ALL}: {why}"
 
     def _has(self, number: int) -> bool:

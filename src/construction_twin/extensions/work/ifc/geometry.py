@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 
 from construction_twin.extensions.work.building import Body
 from construction_twin.extensions.work.errors import BuildingError
-from construction_twin.extensions.work.ifc.notes import Misread, Notes, Where, label
+from construction_twin.extensions.work.ifc.notes import MisreadError, Notes, ReadingEntity, label
 from construction_twin.scene.solids import hull_solid, mesh_of, solid, welded
 
 _Entity = ifcopenshell.entity_instance
@@ -110,41 +110,46 @@ def shapes(
     openings: Mapping[int, Sequence[tuple[_Entity, bool]]],
     unit: float,
     notes: Notes,
-    take_log: Callable[[_Entity], None],
+    read_log: Callable[[_Entity], None],
 ) -> Iterator[Shape]:
     """Make the bodies of products; one of which nothing is made has none, and is doubted.
 
     Args:
         openings: What is cut from a product, by its id; True: an opening of its own, else of what it is a part of.
         unit: Metres per length unit.
-        take_log: Called with a product when the kernel has made what it can of it.
+        read_log: Called with a product when the kernel has made what it can of it.
     """
-    cuts = {each.id(): body for given in openings.values() for each, _ in given if (body := body_of(each)) is not None}
+    cuts = {
+        each.id(): body
+        for own_openings in openings.values()
+        for each, _ in own_openings
+        if (body := body_of(each)) is not None
+    }
     counts: dict[int, int] = {}
     for representation in (*bodies.values(), *cuts.values()):
         _count(name, representation, counts)
-    holes = {made.id: made for made in _made(file, name, cuts, take_log)}
+    holes = {shape.id: shape for shape in _kernel_shapes(file, name, cuts, read_log)}
     missing = dict(bodies)
-    for made in _made(file, name, bodies, take_log):
-        representation = bodies[made.id]
-        given = [(each.id(), own) for each, own in openings.get(made.id, ()) if each.id() in cuts]
+    for shape in _kernel_shapes(file, name, bodies, read_log):
+        representation = bodies[shape.id]
+        own_openings = [(each.id(), own) for each, own in openings.get(shape.id, ()) if each.id() in cuts]
         try:
-            with Where(name, file.by_id(made.id)):
+            with ReadingEntity(name, file.by_id(shape.id)):
                 items = list(_resolved(representation))
-                yield _shape(made, items, given, holes, unit, file.by_id(made.id).GlobalId, notes)
-                del missing[made.id]
-        except Misread:
+                yield _shape(shape, items, own_openings, holes, unit, file.by_id(shape.id).GlobalId, notes)
+                del missing[shape.id]
+        except MisreadError:
             # told as what is missing
             pass
     for number, representation in missing.items():
         # one of lines alone has nothing to touch
         if any(_has_surface(part) for part in file.traverse(representation)):
-            said = "the geometry kernel cannot make its shape; a box that holds it stands as an obstacle"
-            yield Shape(number, (), None).doubted(said, bounds(representation) * unit)
+            reason = "the geometry kernel cannot make its shape; a box that holds it stands as an obstacle"
+            yield Shape(number, (), None).doubted(reason, bounds(representation) * unit)
 
 
 @dataclass(frozen=True)
-class _Made:
+class _KernelShape:
     """What the kernel made of a product: triangles, and for each of them the number of the item that it is of."""
 
     id: int
@@ -154,10 +159,10 @@ class _Made:
     matrix: np.ndarray
 
 
-def _made(
-    file: ifcopenshell.file, name: str, bodies: Mapping[int, _Entity], take_log: Callable[[_Entity], None]
-) -> Iterator[_Made]:
-    """Give what the kernel makes of representations, nothing cut out; only what has triangles."""
+def _kernel_shapes(
+    file: ifcopenshell.file, name: str, bodies: Mapping[int, _Entity], read_log: Callable[[_Entity], None]
+) -> Iterator[_KernelShape]:
+    """Yield the kernel's shapes of representations that have triangles, openings still filled."""
     total = 0
     for number, representation in bodies.items():
         product = file.by_id(number)
@@ -166,7 +171,7 @@ def _made(
         except RuntimeError:
             continue
         finally:
-            take_log(product)
+            read_log(product)
         mesh = shape.geometry
         vertices = np.frombuffer(mesh.verts_buffer, dtype=np.float64).reshape(-1, 3).copy()
         triangles = np.frombuffer(mesh.faces_buffer, dtype=np.int32).reshape(-1, 3).copy()
@@ -180,34 +185,34 @@ def _made(
         if len(triangles):
             owners = np.frombuffer(mesh.item_ids_buffer, dtype=np.int32).copy()
             matrix = np.array(shape.transformation.matrix, dtype=float).reshape(4, 4, order="F")
-            yield _Made(number, vertices, triangles, owners, matrix)
+            yield _KernelShape(number, vertices, triangles, owners, matrix)
 
 
 def _shape(
-    made: _Made, items: list[_Entity], openings: Sequence[tuple[int, bool]], holes: Mapping[int, _Made],
+    kernel_shape: _KernelShape, items: list[_Entity], openings: Sequence[tuple[int, bool]], holes: Mapping[int, _KernelShape],
     unit: float, about: str, notes: Notes,
 ) -> Shape:  # fmt: skip
-    bodies = tuple(_bodies(made, [] if openings else items, about, notes))
-    shape = Shape(made.id, bodies, made.matrix)
-    if less := _less(items, made.owners):
-        said = (
+    bodies = tuple(_bodies(kernel_shape, [] if openings else items, about, notes))
+    shape = Shape(kernel_shape.id, bodies, kernel_shape.matrix)
+    if less := _less(items, kernel_shape.owners):
+        reason = (
             f"the geometry kernel cannot make a part of its shape ({less}); a box that holds it stands as an obstacle"
         )
-        return shape.doubted(said, *(bounds(item) * unit for item in items))
+        return shape.doubted(reason, *(bounds(item) * unit for item in items))
     if not all(map(_is_simple, bodies)):
         return shape.doubted("parts of its shape lie within each other; its box stands as an obstacle")
     if openings:
         cut = _cut(shape, openings, holes)
         if not cut:
-            said = "its openings take nothing from it, or all of it, or cannot be cut out"
-            return shape.doubted(f"{said}; its box stands as an obstacle")
+            reason = "its openings take nothing from it, or all of it, or cannot be cut out"
+            return shape.doubted(f"{reason}; its box stands as an obstacle")
         made_of = map(mesh_of, cut)
         shape = replace(shape, bodies=tuple(Body(vertices, faces.astype(np.int32)) for vertices, faces in made_of))
         if (pieces := _count_pieces(cut)) > 1:
-            said = f"it is in {pieces} pieces that do not touch, after its openings"
-            return replace(shape, doubt=f"{said}; it stands as an obstacle")
+            reason = f"it is in {pieces} pieces that do not touch, after its openings"
+            return replace(shape, doubt=f"{reason}; it stands as an obstacle")
     whole = sum(body.volume for body in shape.bodies if body.is_closed)
-    if whole > hull_solid(made.vertices).volume() * (1.0 + _OVERLAP):
+    if whole > hull_solid(kernel_shape.vertices).volume() * (1.0 + _OVERLAP):
         return shape.doubted("its bodies have more volume than the hull around them; its box stands as an obstacle")
     return shape
 
@@ -229,7 +234,9 @@ def _is_simple(body: Body) -> bool:
     return abs((whole - cavities).volume() - body.volume) <= _ROUNDING * body.volume
 
 
-def _cut(shape: Shape, openings: Sequence[tuple[int, bool]], holes: Mapping[int, _Made]) -> list[manifold3d.Manifold]:
+def _cut(
+    shape: Shape, openings: Sequence[tuple[int, bool]], holes: Mapping[int, _KernelShape]
+) -> list[manifold3d.Manifold]:
     """Return the bodies less openings; none where one cannot be cut out, or is the element's own and takes nothing away, or all."""
     solids = [one for body in shape.bodies if (one := solid(body.vertices, body.triangles)) is not None]
     if len(solids) < len(shape.bodies) or shape.model_T_shape is None:
@@ -287,14 +294,14 @@ def box(points: np.ndarray) -> Body:
     return Body(vertices, triangles.astype(np.int32))
 
 
-def _bodies(made: _Made, items: list[_Entity], about: str, notes: Notes) -> Iterator[Body]:
+def _bodies(kernel_shape: _KernelShape, items: list[_Entity], about: str, notes: Notes) -> Iterator[Body]:
     copies = Counter(item.id() for item in items)
-    for owner in dict.fromkeys(made.owners.tolist()):
-        part = made.triangles[made.owners == owner]
+    for owner in dict.fromkeys(kernel_shape.owners.tolist()):
+        part = kernel_shape.triangles[kernel_shape.owners == owner]
         # the same item, mapped several times
         for each in _split(part) if copies[owner] > 1 else [part]:
             used, corners = np.unique(each, return_inverse=True)
-            vertices, triangles = welded(made.vertices[used], corners.reshape(-1, 3))
+            vertices, triangles = welded(kernel_shape.vertices[used], corners.reshape(-1, 3))
             body = Body(vertices, triangles.astype(np.int32))
             if len(triangles) and not body.is_closed:
                 notes.add("Bodies that are not closed (their triangles stand as they are, without a volume)", about)
@@ -340,7 +347,7 @@ def _count(name: str, node: _Entity, counts: dict[int, int], path: tuple[int, ..
         raise BuildingError(name, label(node), "geometry that contains itself", "geometry without a loop")
     if len(path) >= DEEPEST:
         raise BuildingError(name, label(node), f"geometry nested {DEEPEST} deep", "less")
-    with Where(name, node):
+    with ReadingEntity(name, node):
         parts = _parts(node)
     count = 1
     for part in parts:

@@ -47,12 +47,12 @@ class Notes:
         return tuple(f"{text}: see {first_few(about, _NAMED)}" if about else text for text, about in every)
 
 
-class Misread(BuildingError):
+class MisreadError(BuildingError):
     """ifcopenshell cannot read an entity."""
 
 
-class Where:
-    """Turns what ifcopenshell raises of a broken file, almost anything, into `Misread` with file and entity."""
+class ReadingEntity:
+    """Raises `MisreadError` with file and entity in place of any error of ifcopenshell."""
 
     def __init__(self, file: str, entity: object):
         self._file, self._entity = file, entity
@@ -63,7 +63,7 @@ class Where:
     def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
         if isinstance(error, Exception) and not isinstance(error, (BuildingError, MemoryError)):
             found = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-            raise Misread(self._file, label(self._entity), found, "what the IFC schema says") from error
+            raise MisreadError(self._file, label(self._entity), found, "what the IFC schema says") from error
 
 
 def label(entity: object) -> str:

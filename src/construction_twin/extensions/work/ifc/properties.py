@@ -12,7 +12,7 @@ import ifcopenshell.util.unit
 
 from construction_twin.extensions.work.building import Body, Value
 from construction_twin.extensions.work.errors import BuildingError
-from construction_twin.extensions.work.ifc.notes import Notes, Where, label
+from construction_twin.extensions.work.ifc.notes import Notes, ReadingEntity, label
 
 _Entity = ifcopenshell.entity_instance
 Sets = dict[str, dict[str, Value]]
@@ -37,15 +37,15 @@ _OF_MASS = ("MASSUNIT", "MASSDENSITYUNIT")
 class Units:
     """SI units per unit of the file.
 
-    `given`: By each kind of which the project has one: [m], [m²], [m³], [kg], [rad], [s], [kg/m³].
+    `factors`: By each kind of which the project has one: [m], [m²], [m³], [kg], [rad], [s], [kg/m³].
     """
 
-    given: Mapping[str, float]
+    factors: Mapping[str, float]
 
     @property
     def length(self) -> float:
         """Metres per unit."""
-        return self.given["LENGTHUNIT"]
+        return self.factors["LENGTHUNIT"]
 
     @property
     def is_metric(self) -> bool:
@@ -56,7 +56,7 @@ class Units:
         """Return SI units per unit of a measure or quantity of the schema; 1 for what has no unit or one that is not converted."""
         kind = _kind(measure)
         power = {"AREAUNIT": 2, "VOLUMEUNIT": 3}.get(kind)
-        return self.given.get(kind, self.length**power if power else 1.0)
+        return self.factors.get(kind, self.length**power if power else 1.0)
 
 
 def read_units(file: ifcopenshell.file, name: str, notes: Notes) -> Units:
@@ -65,8 +65,8 @@ def read_units(file: ifcopenshell.file, name: str, notes: Notes) -> Units:
     if len(projects) != 1:
         found = str(len(projects) or "none")
         raise BuildingError(name, "IFCPROJECT", found, "one project, which says in which units the model is")
-    given: dict[str, float] = {}
-    with Where(name, projects[0]):
+    factors: dict[str, float] = {}
+    with ReadingEntity(name, projects[0]):
         assignment = projects[0].UnitsInContext
         units = [(getattr(unit, "UnitType", ""), unit) for unit in assignment.Units] if assignment else []
         for kind, unit in units:
@@ -75,19 +75,19 @@ def read_units(file: ifcopenshell.file, name: str, notes: Notes) -> Units:
             factor = _si_factor(unit)
             if factor is None:
                 raise BuildingError(name, f"{kind} of the project", label(unit), "a unit of known units, above 0")
-            if kind == "LENGTHUNIT" and kind in given:
+            if kind == "LENGTHUNIT" and kind in factors:
                 raise BuildingError(name, "units of the project", "several length units", "one")
-            given[kind] = factor
-    if "LENGTHUNIT" not in given:
+            factors[kind] = factor
+    if "LENGTHUNIT" not in factors:
         raise BuildingError(
             name, "units of the project", "no length unit", "one, or no length of the model has a meaning"
         )
-    if not _SMALLEST <= given["LENGTHUNIT"] <= _LARGEST:
+    if not _SMALLEST <= factors["LENGTHUNIT"] <= _LARGEST:
         expected = "a unit of length that buildings are drawn in"
-        raise BuildingError(name, "length unit of the project", f"{given['LENGTHUNIT']:g} m", expected)
-    if "PLANEANGLEUNIT" not in given:
+        raise BuildingError(name, "length unit of the project", f"{factors['LENGTHUNIT']:g} m", expected)
+    if "PLANEANGLEUNIT" not in factors:
         notes.add("The project has no unit of angles; radians are assumed")
-    return Units(given)
+    return Units(factors)
 
 
 def _si_factor(unit: _Entity) -> float | None:
@@ -116,7 +116,7 @@ def read_properties(product: _Entity, at: str, units: Units, notes: Notes) -> Se
     """
     sets: Sets = {}
     try:
-        with Where("", product):
+        with ReadingEntity("", product):
             for set_name, values in ifcopenshell.util.element.get_psets(product, verbose=True).items():
                 sets[str(set_name)] = {
                     str(name): _value(value, units, f"{set_name}.{name}", product, at, notes)
@@ -211,7 +211,7 @@ def _weight(product: _Entity, at: str, sets: Sets, units: Units, notes: Notes) -
         if value <= 0:
             notes.add("Weights that are not above 0 are left out", about, at)
             continue
-        if "MASSUNIT" not in units.given:
+        if "MASSUNIT" not in units.factors:
             entry = ifcopenshell.util.element.get_psets(product, verbose=True)[name][quantity]
             own = getattr(product.file.by_id(entry["id"]), "Unit", None) if "id" in entry else None
             if own is None and not units.is_metric:
@@ -227,7 +227,7 @@ def _weight(product: _Entity, at: str, sets: Sets, units: Units, notes: Notes) -
 def _density(product: _Entity, at: str, units: Units, notes: Notes) -> float | None:
     """Return the density of an element's only material [kg/m³]; None: not known, or in a unit that nobody says."""
     try:
-        with Where("", product):
+        with ReadingEntity("", product):
             materials = {each.id(): each for each in ifcopenshell.util.element.get_materials(product)}
             if len(materials) != 1:
                 return None
@@ -238,8 +238,8 @@ def _density(product: _Entity, at: str, units: Units, notes: Notes) -> float | N
                 factor = _factor(holder, "IfcMassDensityMeasure", units)
             else:
                 # in a metric project authors write kg/m³, whatever its units of length and mass are
-                metric = units.is_metric and _is_power_of_ten(units.given.get("MASSUNIT", 1.0))
-                factor = units.given.get("MASSDENSITYUNIT", 1.0 if metric else None)
+                metric = units.is_metric and _is_power_of_ten(units.factors.get("MASSUNIT", 1.0))
+                factor = units.factors.get("MASSDENSITYUNIT", 1.0 if metric else None)
     except BuildingError:
         notes.add("Materials that cannot be read are left out", label(product), at)
         return None

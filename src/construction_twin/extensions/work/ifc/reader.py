@@ -21,9 +21,9 @@ import numpy as np
 from construction_twin.core.files import read_file
 from construction_twin.extensions.work.building import Body, BuildingModel, Element, Task
 from construction_twin.extensions.work.errors import BuildingError
-from construction_twin.extensions.work.ifc.doubts import ABOUT_ALL, Doubts, entries
+from construction_twin.extensions.work.ifc.doubts import ABOUT_ALL, Doubts, parse_log
 from construction_twin.extensions.work.ifc.geometry import NO_UNIT_CODES, Shape, body_of, bounds, shapes
-from construction_twin.extensions.work.ifc.notes import Misread, Notes, Where, label
+from construction_twin.extensions.work.ifc.notes import MisreadError, Notes, ReadingEntity, label
 from construction_twin.extensions.work.ifc.properties import (
     read_mass,
     read_properties,
@@ -59,7 +59,7 @@ class Placements:
             raise BuildingError(self._name, label(placement), found, "placements without a loop")
         if placement.id() not in self._known:
             matrix = None
-            with Where(self._name, placement), np.errstate(all="ignore"):
+            with ReadingEntity(self._name, placement), np.errstate(all="ignore"):
                 if placement.is_a("IfcLocalPlacement"):
                     matrix = self.matrix(placement.PlacementRelTo, (*inside, placement.id()))
                 if matrix is not None:
@@ -121,17 +121,17 @@ class _Reader:
         #: Ids by the numbers of the products.
         self.ids: dict[int, str] = {}
 
-    def note_coordinates(self) -> None:
-        """Note what of the coordinate systems is left out: the map's, and the one of the model's context."""
+    def record_ignored_coordinates(self) -> None:
+        """Note the ignored coordinate systems: of the map, and of the model's context."""
         for conversion in () if self.file.schema == "IFC2X3" else self.file.by_type("IfcMapConversion"):
-            with Where(self.name, conversion):
+            with ReadingEntity(self.name, conversion):
                 shift = [conversion.Eastings, conversion.Northings, conversion.OrthogonalHeight]
                 turned = ", turned" * ((conversion.XAxisOrdinate or 0.0) != 0.0)
             shown = ", ".join(f"{value:.3f}" for value in shift)
-            said = f"The map conversion (eastings, northings, height {shown}{turned}) is left out"
-            self.notes.add(f"{said}: poses are the model's own")
+            sentence = f"The map conversion (eastings, northings, height {shown}{turned}) is left out"
+            self.notes.add(f"{sentence}: poses are the model's own")
         for context in self.file.by_type("IfcGeometricRepresentationContext", include_subtypes=False):
-            with Where(self.name, context):
+            with ReadingEntity(self.name, context):
                 system = context.WorldCoordinateSystem
                 if context.ContextType != "Model" or system is None or not system.is_a("IfcAxis2Placement3D"):
                     continue
@@ -139,29 +139,29 @@ class _Reader:
             if not np.allclose(matrix, np.eye(4), atol=1e-9):
                 shown = ", ".join(f"{value * self.units.length:.3f}" for value in matrix[:3, 3])
                 turned = ", turned" * (not np.allclose(matrix[:3, :3], np.eye(3), atol=1e-9))
-                said = f"The world coordinate system of the model's context ({shown} m{turned}) is left out"
-                self.notes.add(f"{said}: poses are those of the placements")
+                sentence = f"The world coordinate system of the model's context ({shown} m{turned}) is left out"
+                self.notes.add(f"{sentence}: poses are those of the placements")
 
     def elements(self) -> dict[str, Element]:
         """Read them, by their ids."""
         products = self._products()
         placements = Placements(self.name, self.units.length)
-        taken: set[str] = set()
+        used_ids: set[str] = set()
         matrices: dict[int, np.ndarray | None] = {}
         bodies: dict[int, _Entity] = {}
         for product in products:
-            with Where(self.name, product):
-                self.ids[product.id()] = unique_id(product, taken, self.notes)
-                taken.add(self.ids[product.id()])
+            with ReadingEntity(self.name, product):
+                self.ids[product.id()] = unique_id(product, used_ids, self.notes)
+                used_ids.add(self.ids[product.id()])
                 try:
                     matrices[product.id()] = placements.matrix(product.ObjectPlacement)
-                except Misread as error:
+                except MisreadError as error:
                     # it stands nobody knows where
                     matrices[product.id()] = None
                     self.doubts.everything = f"{ABOUT_ALL}: {error}"
                 if (body := body_of(product)) is not None:
                     bodies[product.id()] = body
-                    self._note_more(product, body, self.ids[product.id()])
+                    self._record_ignored_shapes(product, body, self.ids[product.id()])
         openings = {
             product.id(): [
                 (opening, each is product)
@@ -171,15 +171,15 @@ class _Reader:
             for product in products
         }
         unit, notes = self.units.length, self.notes
-        found = shapes(self.file, self.name, bodies, openings, unit, notes, self._take_kernel_log)
-        made = {shape.id: shape for shape in found}
-        for number, shape in made.items():
+        found = shapes(self.file, self.name, bodies, openings, unit, notes, self._record_kernel_log)
+        shape_of = {shape.id: shape for shape in found}
+        for number, shape in shape_of.items():
             if not shape.doubt and number in self.doubts.shapes:
-                made[number] = shape.doubted(self.doubts.shapes[number], bounds(bodies[number]) * self.units.length)
+                shape_of[number] = shape.doubted(self.doubts.shapes[number], bounds(bodies[number]) * self.units.length)
         elements = {}
         for product in products:
-            with Where(self.name, product):
-                element = self._element(product, matrices[product.id()], made.get(product.id()))
+            with ReadingEntity(self.name, product):
+                element = self._element(product, matrices[product.id()], shape_of.get(product.id()))
             if element is not None:
                 elements[element.id] = element
         if self.doubts.everything:
@@ -188,15 +188,15 @@ class _Reader:
             }
         for one, element in elements.items():
             if element.doubt:
-                said = f"THE BODY IS DOUBTFUL: {element.doubt}, the arm does not place it"
-                self.notes.add(said, element.name or one, one)
+                sentence = f"THE BODY IS DOUBTFUL: {element.doubt}, the arm does not place it"
+                self.notes.add(sentence, element.name or one, one)
         _hand_down_status(elements, self.notes)
         _leave_out_doubles(elements, self.notes)
         self.ids = {entity: element for entity, element in self.ids.items() if element in elements}
         return elements
 
-    def _note_more(self, product: _Entity, body: _Entity, element_id: str) -> None:
-        """Note what else a product says of its shape: bodies beside the one that is taken, openings without one."""
+    def _record_ignored_shapes(self, product: _Entity, body: _Entity, element_id: str) -> None:
+        """Note ignored bodies beside the first one, and openings without a body."""
         about = product.Name or element_id
         same = [
             each
@@ -210,9 +210,9 @@ class _Reader:
         if any(body_of(opening) is None for opening in self.relations.openings.get(product.id(), ())):
             self.notes.add("Openings without a body are not cut out", about, element_id)
 
-    def _take_kernel_log(self, product: _Entity) -> None:
-        """Note what the kernel said of a product, and doubt it."""
-        for entry in entries(ifcopenshell.get_log()):
+    def _record_kernel_log(self, product: _Entity) -> None:
+        """Note the kernel's messages about a product, and doubt it."""
+        for entry in parse_log(ifcopenshell.get_log()):
             if entry.code in NO_UNIT_CODES:
                 expected = (
                     "a unit of length that the geometry kernel can read: of the SI, or converted to that in one step"
@@ -225,7 +225,7 @@ class _Reader:
         products = []
         # by_type gives one class after the other, and numbers are the file's order
         for product in sorted(self.file.by_type("IfcProduct"), key=lambda product: product.id()):
-            with Where(self.name, product):
+            with ReadingEntity(self.name, product):
                 if any(product.is_a(kind) for kind in _NOT_THERE):
                     continue
                 has_body = any(product.is_a(kind) for kind in _WITH_BODY) and body_of(product) is not None
@@ -240,10 +240,10 @@ class _Reader:
         bodies: tuple[Body, ...] = ()
         if matrix is None:
             if shape is None or shape.model_T_shape is None:
-                said = "Placed on a grid or an alignment, without a body: left out"
-                self.notes.add(said, element_id)
+                sentence = "Placed on a grid or an alignment, without a body: left out"
+                self.notes.add(sentence, element_id)
                 if shape is not None:
-                    self.doubts.everything = f"{ABOUT_ALL}: {said}"
+                    self.doubts.everything = f"{ABOUT_ALL}: {sentence}"
                 return None
             matrix = shape.model_T_shape
             check_rigid(self.name, product, matrix)
@@ -256,8 +256,8 @@ class _Reader:
                 turn, shift = offset[:3, :3], offset[:3, 3]
                 bodies = tuple(Body(body.vertices @ turn.T + shift, body.triangles) for body in bodies)
             if product.ObjectPlacement is None:
-                said = "HAS A BODY AND NO PLACEMENT: where it is nobody says, taken at the model's origin"
-                self.notes.add(said, product.Name or element_id, element_id)
+                sentence = "HAS A BODY AND NO PLACEMENT: where it is nobody says, taken at the model's origin"
+                self.notes.add(sentence, product.Name or element_id, element_id)
         doubt = "" if shape is None else shape.doubt
         if not doubt and (unknown := self.doubts.shapes.get(product.id())):
             # it can have a body that nobody knows
@@ -286,7 +286,7 @@ class _Reader:
 
     def in_one_piece(self, elements: dict[str, Element], tasks: dict[str, Task]) -> dict[str, Element]:
         """Return what comes in one piece, as `in_one_piece` does, and note it."""
-        with Where(self.name, "the file"):
+        with ReadingEntity(self.name, "the file"):
             assemblies = [each for each in self.file.by_type("IfcElementAssembly") if each.AssemblyPlace == "FACTORY"]
         changed = in_one_piece(elements, tasks, {self.ids[each.id()] for each in assemblies if each.id() in self.ids})
         for name, element in changed.items():
@@ -311,9 +311,9 @@ def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
     contents = _in_ascii(_of_last_publication(contents, name), notes)
     file = _open(contents, name)
     doubts = Doubts(file)
-    log = tuple(entries(ifcopenshell.get_log()))
-    with Where(name, "the file"):
-        doubts.take_parser(log, contents, name)
+    log = tuple(parse_log(ifcopenshell.get_log()))
+    with ReadingEntity(name, "the file"):
+        doubts.on_parser_log(log, contents, name)
         for entry in log:
             notes.add("The parser says", entry.text)
     # it can be large, and the geometry needs room
@@ -322,7 +322,7 @@ def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
     for library in () if file.schema == "IFC2X3" else file.by_type("IfcProjectLibrary"):
         file.remove(library)
     reader = _Reader(file, name, notes, doubts)
-    reader.note_coordinates()
+    reader.record_ignored_coordinates()
     elements = reader.elements()
     for kind, meaning in _UNREAD.items():
         if kind in file.types():
@@ -331,12 +331,12 @@ def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
     for element in elements.values():
         if not element.bodies and element.id not in with_parts:
             notes.add("Elements without a body are no obstacle", element.name or element.id, element.id)
-    given, groups = _given(elements), Groups(reader.relations, reader.ids, notes)
-    tasks, sequences = read_tasks(file, name, groups, given, reader.units, notes)
+    built_from_inputs, groups = _built_from_inputs(elements), Groups(reader.relations, reader.ids, notes)
+    tasks, sequences = read_tasks(file, name, groups, built_from_inputs, reader.units, notes)
     elements |= groups.elements
     elements |= reader.in_one_piece(elements, tasks)
     project = file.by_type("IfcProject")[0]
-    with Where(name, project):
+    with ReadingEntity(name, project):
         title = project.Name or getattr(project, "LongName", None) or ""
     return BuildingModel(
         name, digest, title, elements, tasks, sequences, notes.sentences(),
@@ -344,8 +344,8 @@ def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
     )  # fmt: skip
 
 
-def _given(elements: dict[str, Element]) -> set[str]:
-    """Return what a task that it is given to builds: workpieces, and assemblies without a body of which they are parts."""
+def _built_from_inputs(elements: dict[str, Element]) -> set[str]:
+    """Return what a task builds that has it as an input: workpieces, and assemblies without a body of which they are parts."""
     parents = {element.assembly for element in elements.values()}
     found = {element.id for element in elements.values() if is_workpiece(element, element.id in parents)}
     for name in list(found):
@@ -365,11 +365,11 @@ def _open(contents: bytes, name: str) -> ifcopenshell.file:
         written.write(contents)
         written.flush()
         try:
-            with Where(name, "the file"):
+            with ReadingEntity(name, "the file"):
                 file = ifcopenshell.open(f"/proc/self/fd/{copy}", format=".ifc")
                 count = len(file.types())
-        except Misread as error:
-            why = next((entry.text for entry in entries(ifcopenshell.get_log())), error.found)
+        except MisreadError as error:
+            why = next((entry.text for entry in parse_log(ifcopenshell.get_log())), error.found)
             raise BuildingError(name, "the file", why, "an IFC file (ISO 10303-21)") from error
     if count == 0:
         raise BuildingError(name, "the file", "no entities", "an IFC file (ISO 10303-21)")

@@ -81,38 +81,38 @@ def read_building(path: str | Path, cache: str | Path | None = None, bounds: Bou
     digest = hashlib.sha256(contents).hexdigest()
     # it can be large
     del contents
-    kept = None if cache is None else Path(cache) / f"{digest}-{VERSION}.json"
-    if kept is not None and kept.exists():
+    cached = None if cache is None else Path(cache) / f"{digest}-{VERSION}.json"
+    if cached is not None and cached.exists():
         try:
-            return load(kept, path.name, digest)
+            return load(cached, path.name, digest)
         except (BuildingError, OSError):
             # damaged: made anew below, over it
             pass
     if importlib.util.find_spec("ifcopenshell") is None:
         raise ConfigurationError("ifcopenshell", None, "that it is installed; run setup/setup.sh work")
     try:
-        if kept is not None:
-            kept.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=kept and kept.parent) as folder:
+        if cached is not None:
+            cached.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=cached and cached.parent) as folder:
             written = Path(folder) / "model.json"
             _run(path, digest, written, bounds)
             model = load(written, path.name, digest)
-            if kept is not None:
-                os.replace(written, kept)
+            if cached is not None:
+                os.replace(written, cached)
     except OSError as error:
-        where = str(kept.parent if kept is not None else tempfile.gettempdir())
+        where = str(cached.parent if cached is not None else tempfile.gettempdir())
         raise ConfigurationError(where, error.strerror or str(error), "a folder for the cache") from error
     return model
 
 
 def _run(path: Path, digest: str, output: Path, bounds: Bounds) -> None:
     """Let another process read, and return when it has written the model."""
-    given = (path.absolute(), digest, output.absolute(), bounds.file_bytes, bounds.memory_bytes, int(bounds.cpu))
+    arguments = (path.absolute(), digest, output.absolute(), bounds.file_bytes, bounds.memory_bytes, int(bounds.cpu))
     paths = [_SOURCES, *filter(None, [os.environ.get("PYTHONPATH")])]
     code: int | None = None
     try:
         code = subprocess.run(
-            [sys.executable, "-m", _PROGRAM, *map(str, given)],
+            [sys.executable, "-m", _PROGRAM, *map(str, arguments)],
             # one thread: more would be counted as memory each
             env=os.environ
             | {"PYTHONPATH": os.pathsep.join(paths), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
@@ -236,21 +236,21 @@ def main(arguments: list[str]) -> int:
     # after the limits: what is imported is C++ of several hundred MB
     from construction_twin.extensions.work.ifc.reader import read_ifc
 
-    def say(*values: str) -> int:
+    def write_error(*values: str) -> int:
         Path(f"{output}.error").write_text(json.dumps(values))
         return 1
 
     try:
         model = read_ifc(path, most_bytes)
         if model.digest != digest:
-            return say("the file", "other contents when it was read again", "a file that nobody writes")
+            return write_error("the file", "other contents when it was read again", "a file that nobody writes")
         save(model, Path(output))
     except BuildingError as error:
-        return say(error.what, error.found, error.expected)
+        return write_error(error.what, error.found, error.expected)
     except MemoryError:
-        return say("the file", f"more than {memory >> 20} MiB of memory needed", "a smaller model")
+        return write_error("the file", f"more than {memory >> 20} MiB of memory needed", "a smaller model")
     except OSError as error:
-        return say("the result", error.strerror or str(error), "room on the disk for it")
+        return write_error("the result", error.strerror or str(error), "room on the disk for it")
     return 0
 
 

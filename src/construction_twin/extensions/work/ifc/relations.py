@@ -9,7 +9,7 @@ from graphlib import CycleError, TopologicalSorter
 import ifcopenshell
 
 from construction_twin.extensions.work.errors import BuildingError
-from construction_twin.extensions.work.ifc.notes import Where, label
+from construction_twin.extensions.work.ifc.notes import ReadingEntity, label
 
 _Entity = ifcopenshell.entity_instance
 _Entities = dict[int, list[_Entity]]
@@ -34,12 +34,12 @@ class Relations:
     def within(self, group: _Entity) -> list[_Entity]:
         """Return what a group or a part of the site holds, what holds things itself replaced by these."""
         found: dict[int, _Entity] = {}
-        left, seen = [group], set()
+        left, visited = [group], set()
         while left:
             at = left.pop(0)
-            if at.id() in seen:
+            if at.id() in visited:
                 continue
-            seen.add(at.id())
+            visited.add(at.id())
             if at.id() in self.members:
                 left += self.members[at.id()]
             elif at is not group:
@@ -62,22 +62,22 @@ def read_relations(file: ifcopenshell.file, name: str) -> Relations:
     members: _Entities = defaultdict(list)
     # in IFC2x3 both are subtypes of IfcRelDecomposes; nesting of tasks and resources is read with them, for its loops
     for relation in (*file.by_type("IfcRelAggregates"), *file.by_type("IfcRelNests")):
-        with Where(name, relation):
+        with ReadingEntity(name, relation):
             for part in relation.RelatedObjects:
                 whole.setdefault(part.id(), relation.RelatingObject)
                 if relation.RelatingObject.is_a("IfcProduct") and not relation.RelatingObject.is_a("IfcElement"):
                     members[relation.RelatingObject.id()].append(part)
     for relation in file.by_type("IfcRelContainedInSpatialStructure"):
-        with Where(name, relation):
+        with ReadingEntity(name, relation):
             for part in relation.RelatedElements:
                 members[relation.RelatingStructure.id()].append(part)
     for relation in file.by_type("IfcRelAssignsToGroup"):
-        with Where(name, relation):
+        with ReadingEntity(name, relation):
             members[relation.RelatingGroup.id()] += relation.RelatedObjects
     voided: dict[int, _Entity] = {}
     openings: _Entities = defaultdict(list)
     for relation in file.by_type("IfcRelVoidsElement"):
-        with Where(name, relation):
+        with ReadingEntity(name, relation):
             openings[relation.RelatingBuildingElement.id()].append(relation.RelatedOpeningElement)
             voided[relation.RelatedOpeningElement.id()] = relation.RelatingBuildingElement
     refuse_loops(file, name, whole)
@@ -88,7 +88,7 @@ def _on(file: ifcopenshell.file, name: str, voided: dict[int, _Entity]) -> _Enti
     found: _Entities = defaultdict(list)
     for kind, (hosts, guests) in _ON.items():
         for relation in file.by_type(kind):
-            with Where(name, relation):
+            with ReadingEntity(name, relation):
                 given = getattr(relation, guests)
                 for host in filter(None, (getattr(relation, attribute) for attribute in hosts)):
                     # what fills an opening is in the element that it is cut out of

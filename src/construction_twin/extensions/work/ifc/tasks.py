@@ -19,7 +19,7 @@ import numpy as np
 
 from construction_twin.extensions.work.building import Element, Sequence, Task
 from construction_twin.extensions.work.errors import BuildingError
-from construction_twin.extensions.work.ifc.notes import Notes, Where, label
+from construction_twin.extensions.work.ifc.notes import Notes, ReadingEntity, label
 from construction_twin.extensions.work.ifc.properties import Units, read_properties
 from construction_twin.extensions.work.ifc.relations import Relations, refuse_loops
 from construction_twin.extensions.work.process import PROPERTY_SET, RECIPE
@@ -79,9 +79,9 @@ class Groups:
 
 
 def read_tasks(
-    file: ifcopenshell.file, name: str, groups: Groups, given: Collection[str], units: Units, notes: Notes
+    file: ifcopenshell.file, name: str, groups: Groups, built_from_inputs: Collection[str], units: Units, notes: Notes
 ) -> tuple[dict[str, Task], tuple[Sequence, ...]]:
-    """Read tasks and sequences; `given`: ids of elements that a task builds where it has them as inputs only."""
+    """Read tasks and sequences; `built_from_inputs`: ids of elements that a task builds where it has them as inputs only."""
     parents: dict[int, _Entity] = {}
     # IFC wants nesting; some authors aggregate
     for relation in (*file.by_type("IfcRelNests"), *file.by_type("IfcRelAggregates")):
@@ -89,40 +89,40 @@ def read_tasks(
             for part in relation.RelatedObjects:
                 parents.setdefault(part.id(), relation.RelatingObject)
     refuse_loops(file, name, parents)
-    reading = _Reading(parents, groups, given, units, notes)
+    reading = _Reading(parents, groups, built_from_inputs, units, notes)
     every = sorted(file.by_type("IfcTask"), key=lambda task: task.id())
-    with Where(name, "the schedule"):
+    with ReadingEntity(name, "the schedule"):
         reading.beyond = any(_completion(_time_of(task)) > 1.0 + _ROUNDING for task in every)
         if reading.beyond:
             said = "A part that is done (`Completion`) is above 1, perhaps percent"
             notes.add(f"{said}: by their parts no tasks are completed")
         entities = reading.scheduled(every)
     for entity in entities:
-        with Where(name, entity):
+        with ReadingEntity(name, entity):
             reading.ids[entity.id()] = unique_id(entity, reading.ids.values(), notes)
     for entity in entities:
-        with Where(name, entity):
+        with ReadingEntity(name, entity):
             task = reading.task(entity)
             reading.tasks[task.id] = task
     sequences = []
     for relation in file.by_type("IfcRelSequence") if entities else ():
-        with Where(name, relation):
+        with ReadingEntity(name, relation):
             sequence = reading.sequence(relation)
         if sequence is not None:
             sequences.append(sequence)
     return reading.tasks, tuple(sequences)
 
 
-def unique_id(entity: _Entity, taken: Collection[str], notes: Notes) -> str:
+def unique_id(entity: _Entity, used_ids: Collection[str], notes: Notes) -> str:
     """Return an entity's GlobalId; where it has none, or one that is taken, its number in the file: ``#123``."""
-    given = entity.GlobalId
+    global_id = entity.GlobalId
     allowed = (
-        isinstance(given, str)
-        and 0 < len(given) <= 64
-        and all(c.isascii() and (c.isalnum() or c in "_$") for c in given)
+        isinstance(global_id, str)
+        and 0 < len(global_id) <= 64
+        and all(c.isascii() and (c.isalnum() or c in "_$") for c in global_id)
     )
-    if allowed and given not in taken:
-        return given
+    if allowed and global_id not in used_ids:
+        return global_id
     notes.add("Named by the number in the file, because the GlobalId is missing, wrong or another one's", label(entity))
     return f"#{entity.id()}"
 
@@ -135,9 +135,9 @@ class _Reading:
         beyond: Some `Completion` is above 1: nobody knows what the others are parts of.
     """
 
-    def __init__(self, parents: dict[int, _Entity], groups: Groups, given: Collection[str], units: Units, notes: Notes):
-        self._groups, self._given, self._notes = groups, given, notes
-        self._time_unit = units.given.get("TIMEUNIT")
+    def __init__(self, parents: dict[int, _Entity], groups: Groups, built_from_inputs: Collection[str], units: Units, notes: Notes):
+        self._groups, self._built_from_inputs, self._notes = groups, built_from_inputs, notes
+        self._time_unit = units.factors.get("TIMEUNIT")
         self._units, self._parents = units, parents
         self.ids: dict[int, str] = {}
         self.tasks: dict[str, Task] = {}
@@ -157,15 +157,15 @@ class _Reading:
                 kinds = (getattr(schedule, name, None) for name in ("PredefinedType", "WorkControlType"))
                 schedules[schedule.id()] = (schedule.Name or "", next(filter(None, kinds), ""))
             by_schedule[0 if schedule is None else schedule.id()].append(entity)
-        kept = [key for key in by_schedule if schedules[key][1] not in _OTHER_SCHEDULES] or list(by_schedule)
-        for key in by_schedule.keys() - set(kept):
+        schedules_read = [key for key in by_schedule if schedules[key][1] not in _OTHER_SCHEDULES] or list(by_schedule)
+        for key in by_schedule.keys() - set(schedules_read):
             name, kind = schedules[key]
-            said = f"Schedules of the kind {kind}, left out with their tasks and orders because there is another"
-            self._notes.add(said, name)
-        if len(kept) > 1:
-            names = ", ".join(schedules[key][0] for key in kept)
-            self._notes.add(f"{len(kept)} schedules, whose tasks are all read: {names}")
-        return sorted((entity for key in kept for entity in by_schedule[key]), key=lambda entity: entity.id())
+            sentence = f"Schedules of the kind {kind}, left out with their tasks and orders because there is another"
+            self._notes.add(sentence, name)
+        if len(schedules_read) > 1:
+            names = ", ".join(schedules[key][0] for key in schedules_read)
+            self._notes.add(f"{len(schedules_read)} schedules, whose tasks are all read: {names}")
+        return sorted((entity for key in schedules_read for entity in by_schedule[key]), key=lambda entity: entity.id())
 
     def task(self, entity: _Entity) -> Task:
         """Return one."""
@@ -186,7 +186,9 @@ class _Reading:
         if cancelled:
             note("Tasks that the file says are cancelled: not done, nothing waits for them but what comes before")
         if kind == "makes" and not products:
-            products = [each for each in inputs if by_recipe or each in self._given or each in groups.elements]
+            products = [
+                each for each in inputs if by_recipe or each in self._built_from_inputs or each in groups.elements
+            ]
             inputs = [each for each in inputs if each not in products]
             if products and not by_recipe:
                 said = "Tasks whose workpieces are assigned as inputs only (IfcRelAssignsToProcess)"
@@ -229,14 +231,16 @@ class _Reading:
 
         A task that names its recipe (`by_recipe`) is the arm's, whatever else its kind says than that it takes down.
         """
-        said = next(filter(None, map(_said_kind, self._above(entity))), "")
-        shown = said if said and said == _said_kind(entity) else f"{said} (said of what they nest in)"
-        if said in _TAKES_DOWN:
+        declared = next(filter(None, map(_declared_kind, self._above(entity))), "")
+        shown = (
+            declared if declared and declared == _declared_kind(entity) else f"{declared} (said of what they nest in)"
+        )
+        if declared in _TAKES_DOWN:
             note(f"Tasks of the kind {shown}: the arm takes nothing down, a person says when it is gone")
             return "takes_down"
         if by_recipe:
             return "makes"
-        if said and said not in _MAKES:
+        if declared and declared not in _MAKES:
             note(f"Tasks of the kind {shown}, which places nothing; kept for the order")
             return "other"
         own = _own_word(entity)
@@ -244,8 +248,8 @@ class _Reading:
             note(f"Tasks of a kind of their own ({own!r}), taken as placing")
         return "makes"
 
-    def _says_completed(self, entity: _Entity) -> bool:
-        """Return whether a task says of itself that it is done: by its status, or by its times."""
+    def _is_marked_completed(self, entity: _Entity) -> bool:
+        """Return whether status or times of a task mark it as done."""
         time = _time_of(entity)
         whole = not self.beyond and math.isclose(_completion(time), 1.0, abs_tol=_ROUNDING)
         return _status_word(entity) in _DONE_WORDS or whole or getattr(time, "ActualFinish", None) is not None
@@ -253,7 +257,7 @@ class _Reading:
     def _completed(self, entity: _Entity, note: _Note) -> bool:
         """Return whether the file says that a task, or what it nests in, is done; one that is under way is noted."""
         time, status = _time_of(entity), _status_word(entity)
-        done = next(filter(self._says_completed, self._above(entity)), None)
+        done = next(filter(self._is_marked_completed, self._above(entity)), None)
         if done is not None and done.id() == entity.id():
             note("Tasks that the file says are completed: not done again, what they made stands")
         elif done is not None:
@@ -374,23 +378,23 @@ def _status_word(entity: _Entity) -> str:
     return "".join(each for each in (entity.Status or "").upper() if each.isalnum() or each in "?%")
 
 
-def _said_kind(entity: _Entity) -> str:
+def _declared_kind(entity: _Entity) -> str:
     """Return the kind that a task or its type says, by the schema or in a word of it; empty: it says none."""
-    given = _given_kind(entity)
+    predefined = _predefined_kind(entity)
     own = _own_word(entity).upper()
-    return str(given) if given not in _OPEN else own if own in (*_MAKES, *_TAKES_DOWN, *_OTHER_KINDS) else ""
+    return str(predefined) if predefined not in _OPEN else own if own in (*_MAKES, *_TAKES_DOWN, *_OTHER_KINDS) else ""
 
 
-def _given_kind(entity: _Entity) -> str | None:
-    given = getattr(entity, "PredefinedType", None)
-    if given not in (None, "NOTDEFINED"):
-        return str(given)
-    return getattr(ifcopenshell.util.element.get_type(entity), "PredefinedType", None) or given
+def _predefined_kind(entity: _Entity) -> str | None:
+    predefined = getattr(entity, "PredefinedType", None)
+    if predefined not in (None, "NOTDEFINED"):
+        return str(predefined)
+    return getattr(ifcopenshell.util.element.get_type(entity), "PredefinedType", None) or predefined
 
 
 def _own_word(entity: _Entity) -> str:
     """Return the author's own word for the kind of a task, the only one in IFC2x3; empty: none, or the schema's counts."""
-    if _given_kind(entity) not in _OPEN:
+    if _predefined_kind(entity) not in _OPEN:
         return ""
     kind = ifcopenshell.util.element.get_type(entity)
     return str(entity.ObjectType or getattr(kind, "ProcessType", None) or "").strip()
@@ -400,7 +404,7 @@ def _moment(value: str | _Entity | None, note: _Note) -> str:
     if value is None:
         return ""
     try:
-        with Where("", "a time"):
+        with ReadingEntity("", "a time"):
             read = ifcopenshell.util.date.ifc2datetime(value) if isinstance(value, str) else _date_and_time(value)
             text = str(read.isoformat())  # type: ignore[union-attr]
         datetime.fromisoformat(text).timestamp()  # orders compare it: no time of day, no year 0

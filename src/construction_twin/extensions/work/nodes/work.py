@@ -1,4 +1,4 @@
-"""work: has the tasks of a building model planned, follows them, and changes the scene with them; `work/session.py` in ROS."""
+"""work: has the tasks of a building model planned, follows them, and changes the scene with them; `work_progress.py` in ROS."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, RequestRefused
-from construction_twin.core.extensions import check_extras, extension
+from construction_twin.core.extensions import check_extras, import_extension
 from construction_twin.core.reports import EngagementReport, ExecutionReport
 from construction_twin.core.worker import Worker
-from construction_twin.extensions.work.built import Appearance
+from construction_twin.extensions.work.as_built import Appearance
 from construction_twin.extensions.work.glb import glb
 from construction_twin.extensions.work.loaded_model import WORKER, LoadedModel
-from construction_twin.extensions.work.received import KnownPlan, Received, Verdict
-from construction_twin.extensions.work.session import Neighbours, NoAnswer, UnderReview, WorkSession
-from construction_twin.extensions.work.site import read_site
+from construction_twin.extensions.work.received_messages import KnownPlan, Received, Verdict
 from construction_twin.extensions.work.task_board import WorkRefused
 from construction_twin.extensions.work.task_memory import TaskState
+from construction_twin.extensions.work.work_cell import read_work_cell
+from construction_twin.extensions.work.work_progress import NoAnswer, UnderReview, WorkProgress, WorkServices
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.frames import rotation_to_quaternion
@@ -40,13 +40,13 @@ from construction_twin.ros.messages.convert import change_from_msg, plan_from_ms
 from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.scene_convert import object_to_msg, scene_from_msg, tf_frame
 from construction_twin.ros.messages.tool import tool_report_from_msg
-from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Report
+from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Diagnosis
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
 from construction_twin.ros.shared.node_shell import (
     Interface,
-    NewestPose,
+    NodeIO,
     NodeShell,
-    Ports,
+    PolledPose,
     Publication,
     Served,
     Shared,
@@ -108,41 +108,43 @@ class Settings(PrivateSettings):
 
 
 class WorkNode:
-    """A `WorkSession` in ROS; `session` is None without a usable model and ledger."""
+    """A `WorkProgress` in ROS; `progress` is None without a usable model and ledger."""
 
-    def __init__(self, settings: Settings, robot: RobotModel, ports: Ports):
-        self._settings, self._robot, self._diagnostics = settings, robot, ports.diagnostics
-        self._planner, self._publishers = ports.parameters["planner"], ports.publishers
-        twin = ports.poses["twin/joint_states"]
+    def __init__(self, settings: Settings, robot: RobotModel, node_io: NodeIO):
+        self._settings, self._robot, self._diagnostics = settings, robot, node_io.diagnostics
+        self._planner, self._publishers = node_io.parameters["planner"], node_io.publishers
+        twin = node_io.poses["twin/joint_states"]
         # without a physical arm the twin's pose counts as measured
-        self._twin, self._arm = twin, ports.poses.get("physical/joint_states", twin)
+        self._twin, self._arm = twin, node_io.poses.get("physical/joint_states", twin)
         self._frames = listen_to_frames(robot, settings.tf_prefix, settings.service_timeout, self._diagnostics.refuse)
         self._worker = Worker(WORKER)
         rospy.on_shutdown(self._worker.close)
         # what became of a plan is read in the record after a restart
-        self.received = Received(ports.connections, rospy.is_shutdown, robot_file(ports.parameters[RECORD], robot.name))
-        self.session: WorkSession | None = None
+        self.received = Received(
+            node_io.connections, rospy.is_shutdown, robot_file(node_io.parameters[RECORD], robot.name)
+        )
+        self.progress: WorkProgress | None = None
         #: Why there is no work, and whether there will be none any more.
-        self._problem: str = "the model is being read"
+        self._fault: str = "the model is being read"
         self._broken = False
-        self._told = ""
+        self._published = ""
         self._publish()
 
     def run(self) -> None:
         """Load the model, then follow the executor."""
         self.open()
         while not rospy.is_shutdown():
-            self.go_on()
+            self.run_once()
 
-    def go_on(self) -> None:
+    def run_once(self) -> None:
         """Wait for news, at most `retry_time`, and act on it. For one thread."""
         # without news, too: what did not work before is tried again
         if self.received.wait_for_news(self._settings.retry_time):
             self._publish()
-        if self.session is None:
+        if self.progress is None:
             return
         try:
-            self.session.catch_up()
+            self.progress.catch_up()
             self._publish()
         except ConstructionTwinError as error:
             # of the ledger: nothing is done without it, and the executor waits for the scene in vain
@@ -161,11 +163,11 @@ class WorkNode:
         settings, robot = self._settings, self._robot
         files = None
         if settings.private:
-            files = extension("console.private_files").PrivateFiles(ros_home() / settings.private, robot.name)
+            files = import_extension("console.private_files").PrivateFiles(ros_home() / settings.private, robot.name)
             files.drop_building()
         began, folder = time.monotonic(), ros_home() / settings.folder
         loaded: LoadedModel = self._worker.ask_first(
-            "prepare",
+            "load_model",
             model=settings.model,
             cell=settings.cell,
             robot=robot,
@@ -178,7 +180,7 @@ class WorkNode:
         rospy.loginfo("the model was read in %.1f s", time.monotonic() - began)
         if files is not None:
             self._show_building(loaded, files)
-        neighbours = Neighbours(
+        services = WorkServices(
             functools.partial(self._twin.pose, MAX_POSE_AGE, MAX_POSE_AGE),
             functools.partial(self._arm.pose, MAX_POSE_AGE, MAX_POSE_AGE),
             functools.partial(self._worker.ask, "plan"),
@@ -188,8 +190,8 @@ class WorkNode:
             self._diagnostics.refuse,
             functools.partial(rospy.loginfo, "%s"),
         )
-        self.session = WorkSession(loaded, folder, robot, self.received, neighbours, time.time_ns)
-        self.session.recall(settings.listen_time)
+        self.progress = WorkProgress(loaded, folder, robot, self.received, services, time.time_ns)
+        self.progress.recall(settings.listen_time)
 
     def _show_building(self, loaded: LoadedModel, files: Any) -> None:
         """Write the model where a console serves it."""
@@ -223,19 +225,19 @@ class WorkNode:
 
     # -- services
 
-    def _opened(self) -> WorkSession:
-        if self.session is None:
-            raise WorkRefused(self._problem)
-        return self.session
+    def _usable_progress(self) -> WorkProgress:
+        if self.progress is None:
+            raise WorkRefused(self._fault)
+        return self.progress
 
     def on_plan_task(self, request: srv.WorkPlanTaskRequest) -> Outcome:
         """Have a task planned, or while the arm is engaged the way back."""
-        fields = asdict(self._opened().plan(request.task, self._settings.service_timeout))
+        fields = asdict(self._usable_progress().plan(request.task, self._settings.service_timeout))
         return Outcome(True, fields.pop("message"), fields=fields)
 
     def on_decide(self, request: srv.WorkDecideRequest) -> str:
         """Record a decision of a person."""
-        return self._opened().decide(
+        return self._usable_progress().decide(
             request.decision, request.task, request.answer, request.person, request.reason, request.question
         )
 
@@ -243,64 +245,64 @@ class WorkNode:
         """Record where a person has measured an element."""
         header = request.pose.header
         pose = product(self._frames.in_base(header.frame_id, header.stamp), pose_from_msg(request.pose.pose))
-        found = self._opened().measured(request.element, pose, request.person, request.reason)
+        found = self._usable_progress().record_measured(request.element, pose, request.person, request.reason)
         distance, angle = found.distance * 1e3, math.degrees(found.angle)
         sentence = f"{request.element} is {distance:.2f} mm and {angle:.3f} deg from where the model has it"
         return Outcome(True, sentence, fields={"deviation_mm": distance, "deviation_deg": angle})
 
-    def take(self, topic: str, read: Callable[[Any], Any], message: Any) -> None:
-        """Hand on a message; one that cannot be read is refused."""
+    def on_message(self, topic: str, read: Callable[[Any], Any], message: Any) -> None:
+        """Read and store a message, or refuse it."""
         try:
-            said = read(message)
+            content = read(message)
         except (SceneError, TrajectoryError, PayloadError) as error:
             self._diagnostics.refuse(topic, str(error))
             return
-        self.received.take(said)
+        self.received.on_message(content)
 
     # -- reports
 
     def _fail(self, sentence: str) -> None:
-        """Go on without the work."""
+        """Stop the work with a sentence."""
         rospy.logerr("%s", sentence)
-        self._problem, self.session, self._broken = sentence, None, True
+        self._fault, self.progress, self._broken = sentence, None, True
         self._publish()
 
     def _publish(self) -> None:
-        session = self.session
-        if session is None:
+        progress = self.progress
+        if progress is None:
             engaged = self.received.execution is not None and self.received.execution.engaged
             model, reading = Path(self._settings.model).name, not self._broken
-            message = msg.WorkTasks(model=model, engaged=engaged, reading=reading, reason=self._problem)
+            message = msg.WorkTasks(model=model, engaged=engaged, reading=reading, reason=self._fault)
         else:
-            message = to_msg(session.report(), msg.WorkTasks)
+            message = to_msg(progress.state_report(), msg.WorkTasks)
         # of numbers that are not known, only their text is the same
-        if repr(message) == self._told:
+        if repr(message) == self._published:
             return
-        self._told = repr(message)
+        self._published = repr(message)
         message.header.stamp = rospy.Time.now()
         self._publishers["work/tasks"].publish(message)
-        if session is not None:
-            self._draw(session)
+        if progress is not None:
+            self._draw(progress)
 
-    def _draw(self, session: WorkSession) -> None:
+    def _draw(self, progress: WorkProgress) -> None:
         prefix, robot = self._settings.tf_prefix, self._robot
-        triangles = {name: facts.triangles for name, facts in session.board.loaded.elements.items()}
+        triangles = {name: facts.triangles for name, facts in progress.board.loaded.elements.items()}
         base, tip = tf_frame(prefix, robot.base_link), tf_frame(prefix, robot.tip_link)
-        markers = work_markers(session.appearances(), triangles, base, tip)
+        markers = work_markers(progress.appearances(), triangles, base, tip)
         self._publishers["work/markers"].publish(MarkerArray(markers))
 
-    def report(self) -> Report:
+    def diagnose(self) -> Diagnosis:
         """Return the state of the work for `/diagnostics`."""
-        session = self.session
-        if session is None:
-            return Report(ERROR if self._broken else WARN, self._problem)
-        with session.lock:
-            board = session.board
+        progress = self.progress
+        if progress is None:
+            return Diagnosis(ERROR if self._broken else WARN, self._fault)
+        with progress.lock:
+            board = progress.board
             values: dict[str, object] = {state.value: len(board.states.in_state(state)) for state in TaskState}
             values["lines of the ledger"] = board.ledger.lines
             values["notes on the model"] = len(board.notes)
             asks = bool(board.states.in_state(TaskState.ASKS))
-            return Report(WARN if asks else OK, board.summary(time.time_ns()), values)
+            return Diagnosis(WARN if asks else OK, board.summary(time.time_ns()), values)
 
 
 # -- the building model in rviz
@@ -354,27 +356,27 @@ def _marker(name: str, kind: int, frame: str, position: Any, quaternion: Any, co
 # -- the node's interface
 
 
-def _hears(topic: str, kind: type, read: Callable[[Any], Any], queue_size: int) -> Subscription:
-    return Subscription(topic, kind, lambda node, message: node.take(topic, read, message), queue_size=queue_size)
+def _subscription(topic: str, kind: type, read: Callable[[Any], Any], queue_size: int) -> Subscription:
+    return Subscription(topic, kind, lambda node, message: node.on_message(topic, read, message), queue_size=queue_size)
 
 
 INTERFACE = Interface(
-    report=WorkNode.report,
+    diagnose=WorkNode.diagnose,
     parameters=(SharedParameter("planner", {}), SharedParameter(RECORD, "")),
     publishes=(
         Publication("work/tasks", msg.WorkTasks, queue_size=5, latch=True),
         Publication("work/markers", MarkerArray, queue_size=2, latch=True),
     ),
-    reads=(NewestPose("twin/joint_states"), NewestPose("physical/joint_states", when=has_arm)),
-    hears=(
-        _hears("engagement", msg.Engagement, functools.partial(from_msg, EngagementReport), 5),
-        _hears("execution", msg.Execution, functools.partial(from_msg, ExecutionReport), 50),
-        _hears(
+    polls=(PolledPose("twin/joint_states"), PolledPose("physical/joint_states", when=has_arm)),
+    subscribes=(
+        _subscription("engagement", msg.Engagement, functools.partial(from_msg, EngagementReport), 5),
+        _subscription("execution", msg.Execution, functools.partial(from_msg, ExecutionReport), 50),
+        _subscription(
             "plan", msg.Plan, lambda plan: KnownPlan(plan_from_msg(plan), (*map(change_from_msg, plan.segments),)), 5
         ),
-        _hears("review", msg.Review, functools.partial(from_msg, Verdict), 20),
-        _hears("scene", msg.Scene, scene_from_msg, 2),
-        _hears("tool", msg.ToolState, tool_report_from_msg, 5),
+        _subscription("review", msg.Review, functools.partial(from_msg, Verdict), 20),
+        _subscription("scene", msg.Scene, scene_from_msg, 2),
+        _subscription("tool", msg.ToolState, tool_report_from_msg, 5),
     ),
     listeners=FRAMES,
     serves=(
@@ -391,12 +393,15 @@ def check(settings: Settings, _robot: RobotModel, _shared: Shared) -> None:
     for name, path in (("model", settings.model), ("cell", settings.cell)):
         if not Path(path).is_file():
             raise ConfigurationError(f"work_{name}", path, "the absolute path of a file")
-    site = read_site(settings.cell)
-    for name, given, named in (("tool", settings.tool, site.file.tool), ("scene", settings.scene, site.file.scene)):
-        wanted = (Path(settings.cell).parent / named).resolve()
-        if Path(given).resolve() != wanted:
+    work_cell = read_work_cell(settings.cell)
+    for name, argument, wanted_file in (
+        ("tool", settings.tool, work_cell.file.tool),
+        ("scene", settings.scene, work_cell.file.scene),
+    ):
+        wanted = (Path(settings.cell).parent / wanted_file).resolve()
+        if Path(argument).resolve() != wanted:
             path, cell = str(wanted), settings.cell
-            raise ConfigurationError(name, given, f"{path}, as {cell} says; give {name}:={path}")
+            raise ConfigurationError(name, argument, f"{path}, as {cell} says; give {name}:={path}")
 
 
 NODE = NodeShell("work", Settings, WorkNode, INTERFACE, check)

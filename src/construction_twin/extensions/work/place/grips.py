@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 from scipy.spatial import ConvexHull, QhullError
 
-from construction_twin.extensions.work.convex_bodies import Pieces
+from construction_twin.extensions.work.convex_bodies import ElementPieces
 from construction_twin.extensions.work.place.recipe import PlaceRecipe
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import Cups, Tool
@@ -52,7 +52,7 @@ class GripSearch:
     reason: str
 
 
-def find_grips(pieces: Pieces, up: np.ndarray, mass: float, recipe: PlaceRecipe, tool: Tool) -> GripSearch:
+def find_grips(pieces: ElementPieces, up: np.ndarray, mass: float, recipe: PlaceRecipe, tool: Tool) -> GripSearch:
     """Return the grips of an element: by faces, then its turns, then the tool's, then places.
 
     `up`: Shape (3,). In the stock.
@@ -74,13 +74,13 @@ def find_grips(pieces: Pieces, up: np.ndarray, mass: float, recipe: PlaceRecipe,
         turned = [(turn, _turned(frame, turn)) for turn in wanted.turns_deg]
         places = itertools.product(wanted.yaws_deg, wanted.along, wanted.across)
         tools = [(place, _tool_at(frame, *place)) for place in places]
-        held = [(place, tcp, _held(tcp, pieces, tool.cups, wanted.margin)) for place, tcp in tools]
+        held = [(place, tcp, _cups_on_face(tcp, pieces, tool.cups, wanted.margin)) for place, tcp in tools]
         for turn, element_T_turned in turned:
             if turn % 360.0 and not pieces.same_turned(element_T_turned):
                 continue
             for (yaw, along, across), tcp, cups in held:
                 where = f"{name} {1e3 * along:g} mm along, {1e3 * across:g} mm across, tool at {yaw:g} deg"
-                problem = _problem(where, tcp, cups, needed, wanted.lever, pieces)
+                problem = _obstacle(where, tcp, cups, needed, wanted.lever, pieces)
                 if problem:
                     reasons.append(problem)
                     continue
@@ -100,7 +100,7 @@ def _tool_at(frame: Pose, yaw_deg: float, along: float, across: float) -> Pose:
     return Pose(frame.position + frame.rotation @ np.array([along, across, 0.0]), into)
 
 
-def _held(element_T_tcp: Pose, pieces: Pieces, cups: Cups, margin: float) -> np.ndarray:
+def _cups_on_face(element_T_tcp: Pose, pieces: ElementPieces, cups: Cups, margin: float) -> np.ndarray:
     """Return the middles of the cups that lie on the face, shape (k, 3)."""
     rotation = element_T_tcp.rotation
     middles = np.array([element_T_tcp.position + rotation @ (x, y, 0.0) for x, y in cups.at])
@@ -110,18 +110,18 @@ def _held(element_T_tcp: Pose, pieces: Pieces, cups: Cups, margin: float) -> np.
     return middles[lies.reshape(len(middles), -1).all(axis=1)]
 
 
-def _faces(pieces: Pieces, up: np.ndarray, wanted: tuple[str, ...]) -> list[tuple[str, Pose]]:
+def _faces(pieces: ElementPieces, up: np.ndarray, wanted: tuple[str, ...]) -> list[tuple[str, Pose]]:
     """Return names of the wanted faces, and frames: below the centre of gravity, x along the longer side, z outwards."""
     found: dict[int, tuple[str, Pose]] = {}
     for word in wanted:
         for number, plane in enumerate(pieces.planes):
-            if number not in found and _looks(plane[:3], word, up):
+            if number not in found and _faces_towards(plane[:3], word, up):
                 name = _axis_name(plane[:3]) if word in ("any", "up") else word
                 found[number] = name, _frame(pieces, plane)
     return list(found.values())
 
 
-def _looks(normal: np.ndarray, word: str, up: np.ndarray) -> bool:
+def _faces_towards(normal: np.ndarray, word: str, up: np.ndarray) -> bool:
     if word == "any":
         return True
     if word == "up":
@@ -136,7 +136,7 @@ def _axis_name(normal: np.ndarray) -> str:
     return "face " + " ".join(f"{value:.2f}" for value in normal)
 
 
-def _frame(pieces: Pieces, plane: np.ndarray) -> Pose:
+def _frame(pieces: ElementPieces, plane: np.ndarray) -> Pose:
     normal = plane[:3]
     points = pieces.on(plane)
     # the longer side of the smallest rectangle around the face that has a side in common with an edge of its outline
@@ -170,8 +170,8 @@ def _long_side(flat: np.ndarray) -> float:
     return best[1]
 
 
-def _problem(
-    where: str, tcp: Pose, cups: np.ndarray, needed: int, lever: float, pieces: Pieces
+def _obstacle(
+    where: str, tcp: Pose, cups: np.ndarray, needed: int, lever: float, pieces: ElementPieces
 ) -> tuple[int, str] | None:
     """Return why a place does not hold the element, with how far it came."""
     if len(cups) < needed:

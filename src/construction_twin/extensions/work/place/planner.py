@@ -10,14 +10,14 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from construction_twin.core.sentences import Sentence
-from construction_twin.extensions.work.contacts import FALL, straight
-from construction_twin.extensions.work.convex_bodies import Pieces
+from construction_twin.extensions.work.contacts import FALL, straight_poses
+from construction_twin.extensions.work.convex_bodies import ElementPieces
 from construction_twin.extensions.work.errors import TaskPlanningError
-from construction_twin.extensions.work.motions import PAIRS, Failed, PlanBuilder, Search
+from construction_twin.extensions.work.motions import PAIRS, AttemptFailed, PlanBuilder, Search
 from construction_twin.extensions.work.place.grips import AXES, Grip, find_grips
 from construction_twin.extensions.work.place.recipe import OVERRIDES, Direction, PlaceRecipe, check_tool, mass_of
 from construction_twin.extensions.work.process import REACH, Process, TaskMotions
-from construction_twin.extensions.work.site import inverse, pose_of
+from construction_twin.extensions.work.work_cell import inverse, pose_of
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.trajectory import Trajectory
@@ -39,22 +39,24 @@ def plan(search: Search) -> TaskMotions:
     """Return the plan of a task; with the element held, of the rest.
 
     Raises:
-        Failed: The attempt that came furthest.
+        AttemptFailed: The attempt that came furthest.
     """
     mass = mass_of(search.job, search.name, search.recipe, search.tool.tool)
-    return _whole(search, mass) if search.held is None else _rest(search, search.held)
+    return _whole_plan(search, mass) if search.held is None else _rest_of_plan(search, search.held)
 
 
-def _whole(search: Search, mass: float) -> TaskMotions:
+def _whole_plan(search: Search, mass: float) -> TaskMotions:
     job = search.job
     assert job.base_T_stock is not None
     try:
-        grips = find_grips(Pieces(job.bodies), job.base_T_stock.rotation.T[:, 2], mass, search.recipe, search.tool.tool)
+        grips = find_grips(
+            ElementPieces(job.bodies), job.base_T_stock.rotation.T[:, 2], mass, search.recipe, search.tool.tool
+        )
     except SceneError as error:
         raise TaskPlanningError(job.task, str(error), GRIP) from error
     if not grips.grips:
         raise TaskPlanningError(job.task, f"recipe {search.name!r} finds no grip: {grips.reason}", GRIP)
-    falls, tried = _falls(search), 0
+    falls, tried = _fall_reason(search), 0
 
     def with_grip(grip: Grip) -> TaskMotions:
         nonlocal tried
@@ -62,9 +64,9 @@ def _whole(search: Search, mass: float) -> TaskMotions:
         return _with_grip(search, grip, falls)
 
     try:
-        return _first(search, grips.grips, with_grip, lambda failed: failed.hopeless)
-    except Failed as failed:
-        if tried < len(grips.grips) and search.late and not failed.hopeless:
+        return _first_success(search, grips.grips, with_grip, lambda failed: failed.hopeless)
+    except AttemptFailed as failed:
+        if tried < len(grips.grips) and search.is_out_of_time and not failed.hopeless:
             failed.reason = Sentence(
                 "{reason} ({tried} of {count} grips tried in {seconds:g} s)",
                 reason=failed.reason,
@@ -75,53 +77,53 @@ def _whole(search: Search, mass: float) -> TaskMotions:
         raise
 
 
-def _rest(search: Search, tool0_T_element: Pose) -> TaskMotions:
+def _rest_of_plan(search: Search, tool0_T_element: Pose) -> TaskMotions:
     job, recipe = search.job, search.recipe
-    if falls := _falls(search):
-        raise Failed(SET_DOWN, falls)
+    if falls := _fall_reason(search):
+        raise AttemptFailed(SET_DOWN, falls)
     element_T_tcp = product(inverse(tool0_T_element), pose_of(search.tool.tool.tool0_T_tcp))
     grip = Grip("the grip it is held with", element_T_tcp, Pose(np.zeros(3), np.eye(3)), 0)
 
     def arriving(arrive: np.ndarray) -> TaskMotions:
-        at = ways(search, grip, np.zeros(3), arrive)
-        return _OneWay(search, grip, at, scenes(search, at)).plan_carried()
+        at = flange_poses(search, grip, np.zeros(3), arrive)
+        return _Attempt(search, grip, at, scenes(search, at)).plan_carried()
 
-    options = _options(recipe.place.arrive, recipe.place.lengths, job.base_T_goal)
-    return _first(search, options, arriving, method=grip.name)
+    options = _straight_ways(recipe.place.arrive, recipe.place.lengths, job.base_T_goal)
+    return _first_success(search, options, arriving, method=grip.name)
 
 
 _Tried = TypeVar("_Tried")
 
 
-def _first(
+def _first_success(
     search: Search,
     options: Iterable[_Tried],
     attempt: Callable[[_Tried], TaskMotions],
-    ends: Callable[[Failed], bool] = lambda failed: False,
+    ends: Callable[[AttemptFailed], bool] = lambda failed: False,
     method: str = "",
 ) -> TaskMotions:
     """Return the first plan that an attempt makes while there is time; raise the failure that came furthest."""
-    furthest: Failed | None = None
+    furthest: AttemptFailed | None = None
     for option in options:
-        if furthest is not None and search.late:
+        if furthest is not None and search.is_out_of_time:
             break
         try:
             return attempt(option)
-        except Failed as failed:
+        except AttemptFailed as failed:
             failed.method = method or failed.method
-            furthest = _further(furthest, failed)
+            furthest = _furthest(furthest, failed)
             if ends(failed):
                 break
     assert furthest is not None
     raise furthest
 
 
-def _falls(search: Search) -> str:
+def _fall_reason(search: Search) -> str:
     """Return why the element would fall at its place; empty: something is under it."""
     job, recipe = search.job, search.recipe
     own = {item.name for item in job.bodies}
     others = [item for item in search.scene.objects if not item.link and item.name not in own]
-    if recipe.place.fastened or search.shapes.holder(job.bodies, job.base_T_goal, others, np.array(job.up)):
+    if recipe.place.fastened or search.shapes.support_below(job.bodies, job.base_T_goal, others, np.array(job.up)):
         return ""
     return Sentence(
         "nothing holds {element} when the tool lets go: nothing is under it within {gap:.0f} mm. If something else holds it "
@@ -137,26 +139,28 @@ def _with_grip(search: Search, grip: Grip, falls: str) -> TaskMotions:
     assert job.base_T_stock is not None
 
     def by(leave_arrive: tuple[np.ndarray, np.ndarray]) -> TaskMotions:
-        at = ways(search, grip, *leave_arrive)
+        at = flange_poses(search, grip, *leave_arrive)
         _check_reach(at, search)
         if falls:
-            raise Failed(SET_DOWN, falls, True)
+            raise AttemptFailed(SET_DOWN, falls, True)
         there = scenes(search, at)
         _check_bodies(search, at, there)
-        return _OneWay(search, grip, at, there).plan()
+        return _Attempt(search, grip, at, there).plan()
 
     options = itertools.product(
-        _options(recipe.stock.leave, recipe.stock.lengths, job.base_T_stock),
-        _options(recipe.place.arrive, recipe.place.lengths, job.base_T_goal),
+        _straight_ways(recipe.stock.leave, recipe.stock.lengths, job.base_T_stock),
+        _straight_ways(recipe.place.arrive, recipe.place.lengths, job.base_T_goal),
     )
     # another way of the element does not change where it is gripped
-    return _first(search, options, by, lambda failed: failed.stage == REACH and "gripping" in failed.reason, grip.name)
+    return _first_success(
+        search, options, by, lambda failed: failed.stage == REACH and "gripping" in failed.reason, grip.name
+    )
 
 
-def _check_reach(at: Ways, search: Search) -> None:
+def _check_reach(at: FlangePoses, search: Search) -> None:
     def size() -> float:
         """Return how far the element reaches from its middle [m]."""
-        points = Pieces(search.job.bodies).points
+        points = ElementPieces(search.job.bodies).points
         return float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
 
     for where, pose in (
@@ -167,10 +171,10 @@ def _check_reach(at: Ways, search: Search) -> None:
         ("above its place", at.above),
         ("after letting go", at.after),
     ):
-        search.demand_reach(pose, where, size)
+        search.require_reach(pose, where, size)
 
 
-def _check_bodies(search: Search, at: Ways, there: Scenes) -> None:
+def _check_bodies(search: Search, at: FlangePoses, there: Scenes) -> None:
     """Refuse what tool and element cannot do, with whatever joint solution."""
     places = (
         (APPROACH, there.fetch, at.before), (APPROACH, there.approach, at.stock), (LIFT, there.carry, at.lifted),
@@ -181,10 +185,12 @@ def _check_bodies(search: Search, at: Ways, there: Scenes) -> None:
         if found is not None:
             one, other = found
             said = Sentence("{first} would touch {second}, or come closer than the padding", first=one, second=other)
-            raise Failed(stage, said)
+            raise AttemptFailed(stage, said)
 
 
-def _options(directions: tuple[Direction, ...], lengths: tuple[float, ...], base_T_element: Pose) -> list[np.ndarray]:
+def _straight_ways(
+    directions: tuple[Direction, ...], lengths: tuple[float, ...], base_T_element: Pose
+) -> list[np.ndarray]:
     """Return straight ways in the base_link, shape (3,) each, the best first."""
     units = {"up": np.array([0.0, 0.0, 1.0])} | {name: base_T_element.rotation @ axis for name, axis in AXES.items()}
     ways_of = [
@@ -193,7 +199,7 @@ def _options(directions: tuple[Direction, ...], lengths: tuple[float, ...], base
     return [length * way for way in ways_of for length in lengths]
 
 
-def _further(one: Failed | None, other: Failed) -> Failed:
+def _furthest(one: AttemptFailed | None, other: AttemptFailed) -> AttemptFailed:
     """Return the attempt that came further."""
     return other if one is None or STAGES.index(other.stage) > STAGES.index(one.stage) else one
 
@@ -202,7 +208,7 @@ def _further(one: Failed | None, other: Failed) -> Failed:
 
 
 @dataclass(frozen=True, eq=False)
-class Ways:
+class FlangePoses:
     """``base_T_tool0`` at the ends of the straight ways of one task.
 
     Attributes:
@@ -231,7 +237,7 @@ class Scenes:
     done: Scene
 
 
-def ways(search: Search, grip: Grip, leave: np.ndarray, arrive: np.ndarray) -> Ways:
+def flange_poses(search: Search, grip: Grip, leave: np.ndarray, arrive: np.ndarray) -> FlangePoses:
     """Return where the flange goes; `leave`, `arrive`: the element's straight ways, shape (3,)."""
     job, recipe = search.job, search.recipe
     assert job.base_T_stock is not None
@@ -244,7 +250,7 @@ def ways(search: Search, grip: Grip, leave: np.ndarray, arrive: np.ndarray) -> W
     stock, goal = product(base_T_stock_tcp, tcp_T_tool0), product(base_T_goal_tcp, tcp_T_tool0)
     # the tool's z points into the face
     out, away = -base_T_stock_tcp.rotation[:, 2], -base_T_goal_tcp.rotation[:, 2]
-    return Ways(
+    return FlangePoses(
         _moved(stock, recipe.stock.approach * out),
         stock,
         _moved(stock, leave),
@@ -259,7 +265,7 @@ def _moved(pose: Pose, by: np.ndarray) -> Pose:
     return Pose(pose.position + by, pose.rotation)
 
 
-def scenes(search: Search, at: Ways) -> Scenes:
+def scenes(search: Search, at: FlangePoses) -> Scenes:
     """Return the scene of each part of a task, which allows exactly the contacts that its straight way needs, see `contacts`."""
     scene, job, grips, link = search.scene, search.job, search.recipe.grips, search.robot.tip_link
     bare = tool_objects(search.tool, link)
@@ -269,7 +275,7 @@ def scenes(search: Search, at: Ways) -> Scenes:
     beside = [item for item in bare if item.name.removeprefix(TOOL) in grips.beside]
 
     def near(moving: Sequence[SceneObject], *ends: Pose) -> tuple[str, ...]:
-        places = [pose for start, end in zip(ends, ends[1:]) for pose in straight(start, end)]
+        places = [pose for start, end in zip(ends, ends[1:]) for pose in straight_poses(start, end)]
         return search.shapes.near(moving, places, supports, scene.padding) if moving else ()
 
     stock_tool, stock_held = near(beside, at.before, at.stock, at.lifted), near(held, at.stock, at.lifted)
@@ -303,18 +309,23 @@ def scenes(search: Search, at: Ways) -> Scenes:
 
 # -- the attempt with one grip and one pair of straight ways
 
-_Made = TypeVar("_Made")
+_Computed = TypeVar("_Computed")
 
 
-def _once(made: dict[int, _Made | Failed], number: int, make: Callable[[np.ndarray], _Made], q: np.ndarray) -> _Made:
+def _computed_once(
+    computed: dict[int, _Computed | AttemptFailed],
+    number: int,
+    compute: Callable[[np.ndarray], _Computed],
+    q: np.ndarray,
+) -> _Computed:
     """Return what was made of a joint solution at the first call, or raise why it could not be made."""
-    if number not in made:
+    if number not in computed:
         try:
-            made[number] = make(q)
-        except Failed as failed:
-            made[number] = failed
-    found = made[number]
-    if isinstance(found, Failed):
+            computed[number] = compute(q)
+        except AttemptFailed as failed:
+            computed[number] = failed
+    found = computed[number]
+    if isinstance(found, AttemptFailed):
         raise found
     return found
 
@@ -332,31 +343,31 @@ class _Goal(NamedTuple):
 
 
 @dataclass(eq=False)
-class _OneWay:
+class _Attempt:
     search: Search
     grip: Grip
-    at: Ways
+    at: FlangePoses
     scenes: Scenes
-    _stocks: dict[int, _Stock | Failed] = field(default_factory=dict)
-    _goals: dict[int, _Goal | Failed] = field(default_factory=dict)
+    _stocks: dict[int, _Stock | AttemptFailed] = field(default_factory=dict)
+    _goals: dict[int, _Goal | AttemptFailed] = field(default_factory=dict)
 
     def plan(self) -> TaskMotions:
         """Return the plan; the joint solutions with the shortest free ways first."""
         find, at, there = self.search.solutions, self.at, self.scenes
         befores = find(at.before, self.search.start, there.fetch, APPROACH, "before gripping")
         aboves = find(at.above, befores[0], there.carry, SET_DOWN, "above its place")
-        furthest: Failed | None = None
+        furthest: AttemptFailed | None = None
         tried = 0
         for one, other in self._combinations(befores, aboves):
-            if tried >= PAIRS or (tried and self.search.late):
+            if tried >= PAIRS or (tried and self.search.is_out_of_time):
                 break
             try:
-                stock = _once(self._stocks, one, self._make_stock, befores[one])
-                goal = _once(self._goals, other, self._make_goal, aboves[other])
+                stock = _computed_once(self._stocks, one, self._stock_motions, befores[one])
+                goal = _computed_once(self._goals, other, self._goal_motions, aboves[other])
                 tried += 1
                 return self._joined(stock, goal)
-            except Failed as failed:
-                furthest = _further(furthest, failed)
+            except AttemptFailed as failed:
+                furthest = _furthest(furthest, failed)
         assert furthest is not None
         raise furthest
 
@@ -366,11 +377,11 @@ class _OneWay:
         aboves = search.solutions(self.at.above, search.start, there.carry, SET_DOWN, "above its place")
 
         def above(number: int) -> TaskMotions:
-            goal = self._make_goal(aboves[number])
-            carry = search.free(search.start, goal.above, scale, there.carry, CARRY)
+            goal = self._goal_motions(aboves[number])
+            carry = search.free_motion(search.start, goal.above, scale, there.carry, CARRY)
             return self._carried(PlanBuilder(search, search.scene), carry, goal)
 
-        return _first(search, search.nearest(aboves)[:PAIRS], above)
+        return _first_success(search, search.nearest(aboves)[:PAIRS], above)
 
     def _combinations(self, befores: list[np.ndarray], aboves: list[np.ndarray]) -> Iterator[tuple[int, int]]:
         robot = self.search.robot
@@ -398,44 +409,48 @@ class _OneWay:
         ]
         for _, _, one, other in sorted(pairs):
             # what has failed alone fails in every combination
-            if not (isinstance(self._stocks.get(one), Failed) or isinstance(self._goals.get(other), Failed)):
+            if not (
+                isinstance(self._stocks.get(one), AttemptFailed) or isinstance(self._goals.get(other), AttemptFailed)
+            ):
                 yield one, other
 
-    def _make_stock(self, before: np.ndarray) -> _Stock:
+    def _stock_motions(self, before: np.ndarray) -> _Stock:
         search, recipe, at, there = self.search, self.search.recipe, self.at, self.scenes
-        approach = search.line(before, at.stock, recipe.free_speed_scale, there.approach, APPROACH)
-        lift = search.line(approach.positions[-1], at.lifted, recipe.carry_speed_scale, there.lift, LIFT)
-        search.demand_free(lift.positions[-1], there.carry, LIFT, "lifted, where it is carried freely from")
+        approach = search.line_motion(before, at.stock, recipe.free_speed_scale, there.approach, APPROACH)
+        lift = search.line_motion(approach.positions[-1], at.lifted, recipe.carry_speed_scale, there.lift, LIFT)
+        search.require_free(lift.positions[-1], there.carry, LIFT, "lifted, where it is carried freely from")
         return _Stock(before, approach, lift)
 
-    def _make_goal(self, above: np.ndarray) -> _Goal:
+    def _goal_motions(self, above: np.ndarray) -> _Goal:
         search, recipe, at, there = self.search, self.search.recipe, self.at, self.scenes
-        set_down = search.line(above, at.goal, recipe.carry_speed_scale, there.set_down, SET_DOWN)
-        retreat = search.line(set_down.positions[-1], at.after, recipe.free_speed_scale, there.retreat, RETREAT)
-        search.demand_free(retreat.positions[-1], there.done, RETREAT, "after letting go")
+        set_down = search.line_motion(above, at.goal, recipe.carry_speed_scale, there.set_down, SET_DOWN)
+        retreat = search.line_motion(set_down.positions[-1], at.after, recipe.free_speed_scale, there.retreat, RETREAT)
+        search.require_free(retreat.positions[-1], there.done, RETREAT, "after letting go")
         return _Goal(above, set_down, retreat)
 
     def _joined(self, stock: _Stock, goal: _Goal) -> TaskMotions:
         search, recipe, there = self.search, self.search.recipe, self.scenes
-        fetch, clearance = search.free(search.start, stock.before, recipe.free_speed_scale, there.fetch, TO_STOCK)
-        carry = search.free(stock.lift.positions[-1], goal.above, recipe.carry_speed_scale, there.carry, CARRY)
+        fetch, clearance = search.free_motion(
+            search.start, stock.before, recipe.free_speed_scale, there.fetch, TO_STOCK
+        )
+        carry = search.free_motion(stock.lift.positions[-1], goal.above, recipe.carry_speed_scale, there.carry, CARRY)
         grip, release = search.tool.tool.grip, search.tool.tool.release
         # a sensor that is stuck, or a scrap on the cups, is found before anything is gripped
         held, empty = grip.signals(), release.signals()
-        made = PlanBuilder(search, there.fetch)
-        made.add(TO_STOCK, fetch, False, empty, (), there.approach, clearance)
-        made.add(APPROACH, stock.approach, True, empty, grip.switches(), there.lift)
-        made.add(LIFT, stock.lift, True, held, (), there.carry)
-        return self._carried(made, carry, goal)
+        builder = PlanBuilder(search, there.fetch)
+        builder.add(TO_STOCK, fetch, False, empty, (), there.approach, clearance)
+        builder.add(APPROACH, stock.approach, True, empty, grip.switches(), there.lift)
+        builder.add(LIFT, stock.lift, True, held, (), there.carry)
+        return self._carried(builder, carry, goal)
 
-    def _carried(self, made: PlanBuilder, carry: tuple[Trajectory, float], goal: _Goal) -> TaskMotions:
+    def _carried(self, builder: PlanBuilder, carry: tuple[Trajectory, float], goal: _Goal) -> TaskMotions:
         there, tool = self.scenes, self.search.tool.tool
         held, empty = tool.grip.signals(), tool.release.signals()
         engaged = self.search.recipe.carry_engaged
-        made.add(CARRY, carry[0], engaged, held, (), there.set_down, carry[1])
-        made.add(SET_DOWN, goal.set_down, True, held, tool.release.switches(), there.retreat)
-        made.add(RETREAT, goal.retreat, True, empty, (), there.done)
-        return made.plan(self.grip.name, self.at.tool0_T_element)
+        builder.add(CARRY, carry[0], engaged, held, (), there.set_down, carry[1])
+        builder.add(SET_DOWN, goal.set_down, True, held, tool.release.switches(), there.retreat)
+        builder.add(RETREAT, goal.retreat, True, empty, (), there.done)
+        return builder.plan(self.grip.name, self.at.tool0_T_element)
 
 
 PROCESS = Process(

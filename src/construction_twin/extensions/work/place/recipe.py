@@ -110,14 +110,14 @@ def mass_of(job: WorkJob, name: str, recipe: PlaceRecipe, tool: Tool) -> float:
     mass = recipe.mass if "Mass" in own or job.element.mass is None else job.element.mass
     if mass is None:
         said = f"give it a weight or a density in the model, {PROPERTY_SET}.Mass, or recipe {name!r} a mass"
-        raise TaskPlanningError(job.task, f"the mass of {job.called} is not known: {said}")
+        raise TaskPlanningError(job.task, f"the mass of {job.label} is not known: {said}")
     if not mass > 0.0:
-        raise TaskPlanningError(job.task, f"{job.called} has a mass of {mass:g} kg; expected above 0")
+        raise TaskPlanningError(job.task, f"{job.label} has a mass of {mass:g} kg; expected above 0")
     if mass > tool.payload:
         most = f"tool {tool.name!r} carries at most {tool.payload:g} kg"
-        raise TaskPlanningError(job.task, f"{job.called} has {mass:.1f} kg; {most}")
+        raise TaskPlanningError(job.task, f"{job.label} has {mass:.1f} kg; {most}")
     if tool.mass + mass > tool.load:
-        both = f"{job.called} and tool {tool.name!r} together have {tool.mass + mass:.1f} kg"
+        both = f"{job.label} and tool {tool.name!r} together have {tool.mass + mass:.1f} kg"
         raise TaskPlanningError(job.task, f"{both}; the controller's load data are for {tool.load:g} kg")
     return mass
 

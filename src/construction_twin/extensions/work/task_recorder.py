@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.core.reports import EngagementReport, ExecutionReport
 from construction_twin.extensions.work import decisions, engaged_scene
-from construction_twin.extensions.work.built import as_built, pose_of_tuple, pose_tuple
-from construction_twin.extensions.work.received import GripReading, KnownPlan, Received
+from construction_twin.extensions.work.as_built import as_built, pose_of_tuple, pose_tuple
+from construction_twin.extensions.work.received_messages import GripReading, KnownPlan, Received
 from construction_twin.extensions.work.task_board import TaskBoard
 from construction_twin.extensions.work.task_memory import (
     MEASURED,
@@ -25,7 +25,7 @@ from construction_twin.extensions.work.task_memory import (
     TaskState,
 )
 from construction_twin.kinematics.chain import Chain
-from construction_twin.review.record import Fate
+from construction_twin.review.record import PlanRecord
 from construction_twin.robot.segments import Segment
 from construction_twin.robot.tool import Tool
 from construction_twin.scene.scene_change import SceneChange
@@ -35,8 +35,8 @@ FINISHED = "finished"
 
 
 @dataclass(frozen=True)
-class Followed:
-    """Where a plan acts on the element.
+class PlanActions:
+    """The segments in which a plan acts on its element.
 
     Attributes:
         grips, releases: Numbers of the segments that end so; negative: none, or unknown.
@@ -49,10 +49,10 @@ class Followed:
     works: int = -1
 
 
-def followed_plan(
+def plan_actions(
     plan_id: str, memory: TaskMemory, segments: Sequence[Segment], changes: Sequence[SceneChange], tool: Tool
-) -> Followed:
-    """Return where a plan of a task grips the element, and lets go of it."""
+) -> PlanActions:
+    """Return the segments in which a plan grips, works on and releases its element."""
     grips, releases = -1, -1
     for number, (segment, change) in enumerate(zip(segments, changes)):
         for switch in segment.switches:
@@ -62,16 +62,16 @@ def followed_plan(
             if lets_go and releases < 0 and (grips >= 0 or memory.in_grip):
                 releases = number
     works = next((number for number, segment in enumerate(segments) if segment.engaged), -1)
-    return Followed(plan_id, grips, releases, works)
+    return PlanActions(plan_id, grips, releases, works)
 
 
-def followed_unseen(plan_id: str, memory: TaskMemory, outcome: str) -> Followed:
-    """Return what the outcome alone tells of a plan whose segments are unknown."""
+def actions_by_outcome(plan_id: str, memory: TaskMemory, outcome: str) -> PlanActions:
+    """Return what the outcome tells of a plan with unknown segments."""
     if memory.stays:
-        return Followed(plan_id, -1, -1)
+        return PlanActions(plan_id, -1, -1)
     if outcome == FINISHED:
-        return Followed(plan_id, -1 if memory.in_grip else 0, 0)
-    return Followed(plan_id, -2, -2)
+        return PlanActions(plan_id, -1 if memory.in_grip else 0, 0)
+    return PlanActions(plan_id, -2, -2)
 
 
 class _Events:
@@ -87,12 +87,12 @@ class _Events:
 
     def add(self, event: TaskEvent, reason: str = "", pose: tuple[float, ...] = (), source: str = "") -> None:
         entry = Entry(event.value, self.memory.task, plan=self._plan, pose=pose, source=source, reason=reason)
-        self.memory = self.memory.then(entry)
+        self.memory = self.memory.with_entry(entry)
         self.entries.append(entry)
 
 
-def follow(
-    memory: TaskMemory, plan: Followed, report: ExecutionReport, grip: GripReading, built: tuple[float, ...] = (),
+def events_of_report(
+    memory: TaskMemory, plan: PlanActions, report: ExecutionReport, grip: GripReading, built: tuple[float, ...] = (),
     source: str = "", confirmed: bool = False,
 ) -> list[Entry]:  # fmt: skip
     """Return the events that a report adds to the task of a plan.
@@ -105,13 +105,13 @@ def follow(
         return []
     events = _Events(memory, plan.id)
     if memory.state is TaskState.PLANNED:
-        if not report.playing and not report.ended:
+        if not report.playing and not report.final_outcome:
             return []
         if not memory.plan:
             events.add(TaskEvent.PLANNED)
         events.add(TaskEvent.BEGUN)
     # what lies behind, up to the present segment; a plan that has come to its end has been through everything
-    segment = 10**6 if report.ended == FINISHED else report.segment
+    segment = 10**6 if report.final_outcome == FINISHED else report.segment
     stands = report.at_boundary or report.wants_scene or confirmed
     confirmed = confirmed or (report.wants_scene and report.playing)
 
@@ -128,12 +128,12 @@ def follow(
             events.add(event)
     if events.state is TaskState.RELEASING and behind(plan.releases, confirmed):
         events.add(TaskEvent.RELEASED, pose=built, source=source if built else "")
-    if report.ended:
+    if report.final_outcome:
         _end(events, plan, report, grip)
     return events.entries
 
 
-def _end(events: _Events, plan: Followed, report: ExecutionReport, grip: GripReading) -> None:
+def _end(events: _Events, plan: PlanActions, report: ExecutionReport, grip: GripReading) -> None:
     reason = f"{report.outcome}: {report.reason}"
     if events.state is TaskState.WORKING and events.memory.stays:
         # from the first engaged segment on only a person sees what was done
@@ -143,14 +143,14 @@ def _end(events: _Events, plan: Followed, report: ExecutionReport, grip: GripRea
     if events.state is TaskState.RETREATING and report.outcome == FINISHED:
         events.add(TaskEvent.FINISHED, reason)
         return
-    if events.state is TaskState.WORKING and not (0 <= report.segment < plan.grips or grip.surely_open):
+    if events.state is TaskState.WORKING and not (0 <= report.segment < plan.grips or grip.is_surely_open):
         # from the segment on at whose end the grip closes, it may have closed: unless the tool says that it did not
         events.add(TaskEvent.GRIPPING)
-    surely_not = events.state is TaskState.GRIPPING and grip.surely_open
+    surely_not = events.state is TaskState.GRIPPING and grip.is_surely_open
     events.add(TaskEvent.NOT_GRIPPED if surely_not else TaskEvent.STOPPED, reason)
 
 
-def after_restart(memory: TaskMemory, fate: Fate, grip: GripReading) -> list[Entry]:
+def events_after_restart(memory: TaskMemory, fate: PlanRecord, grip: GripReading) -> list[Entry]:
     """Return the events of a task whose plan the executor does not report."""
     events = _Events(memory, fate.plan or memory.plan)
     if memory.state is TaskState.PLANNED:
@@ -159,21 +159,21 @@ def after_restart(memory: TaskMemory, fate: Fate, grip: GripReading) -> list[Ent
                 events.add(TaskEvent.PLANNED)
         elif fate.approved is False:
             events.add(TaskEvent.DROPPED, "it was never approved")
-        elif grip.surely_open and not memory.in_grip and not memory.stays:
+        elif grip.is_surely_open and not memory.in_grip and not memory.stays:
             # nothing can have been carried: the line that must be written before is not there
             events.add(TaskEvent.DROPPED, "nothing was gripped")
         else:
             events.add(TaskEvent.UNKNOWN, "whether the plan was carried out is not known")
-    elif memory.state is TaskState.WORKING and grip.surely_open and not memory.stays:
+    elif memory.state is TaskState.WORKING and grip.is_surely_open and not memory.stays:
         events.add(TaskEvent.STOPPED, "nothing was gripped")
-    elif memory.state is TaskState.GRIPPING and grip.surely_open:
+    elif memory.state is TaskState.GRIPPING and grip.is_surely_open:
         events.add(TaskEvent.NOT_GRIPPED, "nothing was gripped")
     elif memory.state in UNDER_WAY:
         events.add(TaskEvent.UNKNOWN, f"what became of the plan is not known; the last known was {memory.state.value}")
     return events.entries
 
 
-class Follower:
+class TaskRecorder:
     """Records how the task under way goes on and ends. For one thread.
 
     Args:
@@ -190,11 +190,15 @@ class Follower:
 
     def catch_up(self, report: ExecutionReport | None) -> None:
         """Record what reports, verdicts and tool say; settle what nobody will report."""
-        self.follow(report)
-        self._drop_if_turned_down()
+        self.on_report(report)
+        self._drop_if_rejected()
         self.settle_if_lost()
         # what counts as carried is asked about when the tool is surely open
-        if not self._received.playing and self.grip().surely_open and (sentence := decisions.lost(self._board)):
+        if (
+            not self._received.playing
+            and self.grip().is_surely_open
+            and (sentence := decisions.ask_about_carried(self._board))
+        ):
             self._log(sentence)
 
     def grip(self) -> GripReading:
@@ -203,44 +207,46 @@ class Follower:
 
     # -- the task under way
 
-    def follow(self, report: ExecutionReport | None) -> None:
-        """Record what a report says of the task under way."""
-        left, memory = self._received.left, self._under_way()
-        if memory is None or report is None or self._received.unsaid:
+    def on_report(self, report: ExecutionReport | None) -> None:
+        """Record what a report means for the task under way."""
+        left, memory = self._received.left_engaged, self._under_way()
+        if memory is None or report is None or self._received.is_engagement_unknown:
             return
         known = self._received.work_plan(left.plan_id) if left is not None else None
         if left is not None and left.plan_id == memory.plan and known is not None:
             if report.plan_id != memory.plan or not report.playing:
-                self._follow_left(memory, left, known, report)
+                self._record_engaged_end(memory, left, known, report)
                 return
-        followed = self._followed(memory, self._received.plan)
-        if followed is None or followed.id != report.plan_id:
+        actions = self._actions_of(memory, self._received.plan)
+        if actions is None or actions.id != report.plan_id:
             # without the plan nothing can be told of its segments; its end will be received
             if not memory.plan or report.plan_id != memory.plan or not report.outcome:
                 return
-            followed = followed_unseen(memory.plan, memory, report.outcome)
-        self._write(memory, followed, report)
+            actions = actions_by_outcome(memory.plan, memory, report.outcome)
+        self._write(memory, actions, report)
 
-    def _follow_left(
+    def _record_engaged_end(
         self, memory: TaskMemory, left: EngagementReport, known: KnownPlan, report: ExecutionReport
     ) -> None:
         """Record how a plan ended inside an engaged segment, with what the tool has done by then."""
-        followed, plan = self._followed(memory, known), known.plan
-        if followed is None:
+        actions, plan = self._actions_of(memory, known), known.plan
+        if actions is None:
             return
         numbers = [number for number, segment in enumerate(plan.segments) if segment.name == left.segment]
         mine = report.plan_id == plan.id
         # after a restart of the executor only the segment's name is known
         number = report.segment if mine else numbers[0] if len(numbers) == 1 else -1
-        confirmed = 0 <= number < len(plan.segments) and engaged_scene.confirmed(left, plan.segments[number])
+        confirmed = 0 <= number < len(plan.segments) and engaged_scene.switches_confirmed(left, plan.segments[number])
         # only there the arm still stands as it let go
         stands, outcome = mine and (confirmed or report.at_boundary), (report.outcome if mine else "") or "stopped"
         ended = ExecutionReport("", left.reason, plan.id, outcome, segment=number, at_boundary=stands)
-        self._write(memory, followed, ended, confirmed)
+        self._write(memory, actions, ended, confirmed)
 
-    def _write(self, memory: TaskMemory, followed: Followed, report: ExecutionReport, confirmed: bool = False) -> None:
-        built, source = self._as_built(memory, followed, report) if followed.releases >= 0 else ((), "")
-        self._add(follow(memory, followed, report, self.grip(), built, source, confirmed))
+    def _write(
+        self, memory: TaskMemory, actions: PlanActions, report: ExecutionReport, confirmed: bool = False
+    ) -> None:
+        built, source = self._as_built(memory, actions, report) if actions.releases >= 0 else ((), "")
+        self._add(events_of_report(memory, actions, report, self.grip(), built, source, confirmed))
 
     def _add(self, entries: list[Entry]) -> None:
         for entry in entries:
@@ -251,27 +257,27 @@ class Follower:
     def _under_way(self) -> TaskMemory | None:
         return self._board.states.tasks.get(self._board.states.busy)
 
-    def _followed(self, memory: TaskMemory, known: KnownPlan | None) -> Followed | None:
-        """Return where a plan acts; None: it is another task's."""
+    def _actions_of(self, memory: TaskMemory, known: KnownPlan | None) -> PlanActions | None:
+        """Return the actions of a plan; None: it is another task's."""
         if known is None or known.plan.task != memory.task:
             return None
         plan = known.plan
         if plan.id != memory.plan and not (memory.offer and memory.offer in plan.source):
             return None
-        return followed_plan(plan.id, memory, plan.segments, known.changes, self._board.loaded.tool)
+        return plan_actions(plan.id, memory, plan.segments, known.changes, self._board.loaded.tool)
 
     def _as_built(
-        self, memory: TaskMemory, followed: Followed, report: ExecutionReport
+        self, memory: TaskMemory, actions: PlanActions, report: ExecutionReport
     ) -> tuple[tuple[float, ...], str]:
         """Return where the element stands if let go now, by the arm's pose at the boundary or the plan's, and which."""
-        known = self._received.work_plan(followed.id)
-        if known is None or not 0 <= followed.releases < len(known.plan.segments):
+        known = self._received.work_plan(actions.id)
+        if known is None or not 0 <= actions.releases < len(known.plan.segments):
             return (), ""
         if not memory.tool0_T_element or memory.state is TaskState.RETREATING:
             return (), ""
-        planned = tuple(known.plan.trajectory.sample(known.plan.segments[followed.releases].end)[0])
+        planned = tuple(known.plan.trajectory.sample(known.plan.segments[actions.releases].end)[0])
         q, source = planned, PLANNED
-        if report.segment == followed.releases and (report.at_boundary or report.wants_scene):
+        if report.segment == actions.releases and (report.at_boundary or report.wants_scene):
             try:
                 q, source = self._arm_pose(), MEASURED
             except (PoseUnknownError, PayloadError) as error:
@@ -288,33 +294,33 @@ class Follower:
             return
         if memory.state in UNDER_WAY and report.plan_id != memory.plan:
             self.settle()
-        elif memory.state is TaskState.PLANNED and self._received.forget_if_nobody_has(memory.plan):
+        elif memory.state is TaskState.PLANNED and self._received.forget_orphaned_plan(memory.plan):
             self.settle()
 
     def settle(self) -> None:
         """Settle a task that the executor will not report: by its record, else by asking."""
         memory, report = self._under_way(), self._received.execution
-        if memory is None or self._received.unsaid:
+        if memory is None or self._received.is_engagement_unknown:
             return
         if report is not None and memory.plan and report.plan_id == memory.plan:
             return
         fate = self._received.fate(memory.plan, memory.offer)
         if fate.outcome != FINISHED:
-            self._add(after_restart(memory, fate, self.grip()))
+            self._add(events_after_restart(memory, fate, self.grip()))
             return
         # where the element was to be let go is known as long as the plan is
-        followed = self._followed(memory, self._received.work_plan(fate.plan))
-        followed = followed or followed_unseen(fate.plan, memory, fate.outcome)
-        self._write(memory, followed, ExecutionReport("", "", fate.plan, fate.outcome))
+        actions = self._actions_of(memory, self._received.work_plan(fate.plan))
+        actions = actions or actions_by_outcome(fate.plan, memory, fate.outcome)
+        self._write(memory, actions, ExecutionReport("", "", fate.plan, fate.outcome))
 
     def settle_offer(self, task: str, offer: str) -> None:
         """Settle a task whose plan the planner may have published without an answer."""
-        self._add(after_restart(self._board.states.tasks[task], self._received.fate("", offer), self.grip()))
+        self._add(events_after_restart(self._board.states.tasks[task], self._received.fate("", offer), self.grip()))
 
-    def _drop_if_turned_down(self) -> None:
+    def _drop_if_rejected(self) -> None:
         memory = self._under_way()
-        said = self._received.verdict(memory.plan) if memory is not None else None
-        if memory is not None and memory.state is TaskState.PLANNED and said is not None and not said.approved:
-            who, why = said.reviewer, said.reason
+        verdict = self._received.verdict(memory.plan) if memory is not None else None
+        if memory is not None and memory.state is TaskState.PLANNED and verdict is not None and not verdict.approved:
+            who, why = verdict.reviewer, verdict.reason
             self._board.add(Entry("dropped", memory.task, plan=memory.plan, reason=f"{who}: {why}"))
             self._board.failures[memory.task] = f"its plan was turned down by {who}: {why}"

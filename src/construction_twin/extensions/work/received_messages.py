@@ -1,4 +1,4 @@
-"""What the work receives: executor, plans, verdicts, scene and tool."""
+"""The newest messages of executor, planner, reviewers, scene and tool."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from construction_twin.core.reports import EngagementReport, ExecutionReport, ToolReport
-from construction_twin.review.record import Fate, read_fate
+from construction_twin.review.record import PlanRecord, read_plan_record
 from construction_twin.robot.plan import Plan
 from construction_twin.robot.tool import Tool
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_change import SceneChange
 
 #: Verdicts that are remembered.
-_KEPT = 100
+_MOST_VERDICTS = 100
 #: Work plans and scenes that are remembered for an arm that is left engaged.
-_KEPT_PLANS, _KEPT_SCENES = 4, 12
+_MOST_PLANS, _MOST_SCENES = 4, 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +52,8 @@ class GripReading:
     commanded: tuple[str, ...] = ()
 
     @property
-    def surely_open(self) -> bool:
-        """Whether nothing can be held."""
+    def is_surely_open(self) -> bool:
+        """Whether the grip is known to be open."""
         return self.known and not self.closed
 
 
@@ -65,7 +65,7 @@ def grip_of(tool: Tool, outputs: Mapping[str, bool], inputs: Mapping[str, bool])
 
 
 class Received:
-    """Keeps the newest of each, for any thread.
+    """The newest message of each kind, for any thread.
 
     Args:
         publishers: Returns how many nodes publish ``execution``, ``plan`` or ``tool``.
@@ -93,32 +93,34 @@ class Received:
         self._scenes: list[Scene] = []
         self._work_plans: list[KnownPlan] = []
 
-    def take(self, said: ExecutionReport | EngagementReport | ToolReport | KnownPlan | Verdict | Scene) -> None:
-        """Store what was received, and wake whoever waits for it."""
+    def on_message(
+        self, message: ExecutionReport | EngagementReport | ToolReport | KnownPlan | Verdict | Scene
+    ) -> None:
+        """Store a message, and wake the threads that wait for it."""
         with self._changed:
-            match said:
+            match message:
                 case ExecutionReport():
-                    self.execution = said
+                    self.execution = message
                 case EngagementReport():
-                    self.engagement = said
+                    self.engagement = message
                 case ToolReport():
-                    self.tool = said
+                    self.tool = message
                 case Verdict():
-                    self._verdicts = [said, *self._verdicts][:_KEPT]
+                    self._verdicts = [message, *self._verdicts][:_MOST_VERDICTS]
                 case Scene():
-                    self.scene = said
-                    self._scenes = [said, *(one for one in self._scenes if one.hash != said.hash)][:_KEPT_SCENES]
+                    self.scene = message
+                    self._scenes = [message, *(one for one in self._scenes if one.hash != message.hash)][:_MOST_SCENES]
                 case KnownPlan():
-                    self.plan, self._plan_offered = said, True
+                    self.plan, self._plan_offered = message, True
                     # a way back changes nothing, and may be planned again and again
-                    if any(segment.scene != segment.scene_after for segment in said.plan.segments):
-                        others = (one for one in self._work_plans if one.plan.id != said.plan.id)
-                        self._work_plans = [said, *others][:_KEPT_PLANS]
+                    if any(segment.scene != segment.scene_after for segment in message.plan.segments):
+                        others = (one for one in self._work_plans if one.plan.id != message.plan.id)
+                        self._work_plans = [message, *others][:_MOST_PLANS]
             self._changed.notify_all()
-        self.announce()
+        self.notify()
 
-    def announce(self) -> None:
-        """Let whoever waits for news know that there are some."""
+    def notify(self) -> None:
+        """Wake the thread that waits for news."""
         self._news.set()
 
     def wait_for_news(self, seconds: float) -> bool:
@@ -136,7 +138,7 @@ class Received:
     # -- the executor
 
     @property
-    def executor_said(self) -> bool:
+    def is_executor_known(self) -> bool:
         """Whether the executor's state is known, or it has no publisher."""
         return self.execution is not None or not self._publishers("execution")
 
@@ -148,17 +150,17 @@ class Received:
     @property
     def engaged(self) -> bool:
         """Whether the arm was left engaged, or may have been."""
-        return (self.execution is not None and self.execution.engaged) or self.left is not None
+        return (self.execution is not None and self.execution.engaged) or self.left_engaged is not None
 
     @property
-    def left(self) -> EngagementReport | None:
+    def left_engaged(self) -> EngagementReport | None:
         """Where the arm was left engaged; None: nowhere, or unknown."""
         return self.engagement if self.engagement is not None and self.engagement.engaged else None
 
     @property
-    def unsaid(self) -> bool:
-        """Whether the arm was left engaged at a place still unknown: the disk takes it first."""
-        return self.execution is not None and self.execution.engaged and self.left is None
+    def is_engagement_unknown(self) -> bool:
+        """Whether the arm was left engaged at an unknown place, until its record is on the disk."""
+        return self.execution is not None and self.execution.engaged and self.left_engaged is None
 
     # -- plans and scenes
 
@@ -174,7 +176,7 @@ class Received:
         """Return the verdict on a plan; None: none was received."""
         return next((one for one in self._verdicts if one.plan_id == plan_id), None)
 
-    def fate(self, plan_id: str, offer: str) -> Fate:
+    def fate(self, plan_id: str, offer: str) -> PlanRecord:
         """Return what became of a plan, from the topics, else from the executor's record.
 
         Args:
@@ -183,12 +185,12 @@ class Received:
         plan = self.plan.plan if self.plan is not None else None
         if plan is not None and (plan.id == plan_id or (offer and offer in plan.source)):
             if self.verdict(plan.id) is None and self._publishers("plan"):
-                return Fate(plan.id, False, under_review=True)
+                return PlanRecord(plan.id, False, under_review=True)
             plan_id = plan.id
-        return read_fate(self._review_file, plan_id, offer)
+        return read_plan_record(self._review_file, plan_id, offer)
 
-    def forget_if_nobody_has(self, plan_id: str) -> bool:
-        """Return whether a plan under review went with planner and executor; forget it then."""
+    def forget_orphaned_plan(self, plan_id: str) -> bool:
+        """Forget a plan under review whose planner and executor have gone; return whether it was one."""
         if not self._publishers("plan"):
             self._plan_offered = False
         # an executor that is still there has the plan, whatever became of the planner
@@ -201,13 +203,13 @@ class Received:
     # -- the tool
 
     @property
-    def tool_said(self) -> bool:
+    def is_tool_known(self) -> bool:
         """Whether the tool's state is known, or it has no publisher."""
         return self.tool is not None or not self._publishers("tool")
 
     def grip(self, tool: Tool) -> GripReading:
         """Return what a tool says of its grip."""
-        said = self.tool
-        if said is None or not said.known or not self._publishers("tool"):
+        report = self.tool
+        if report is None or not report.known or not self._publishers("tool"):
             return GripReading(False, False)
-        return grip_of(tool, said.outputs, said.inputs)
+        return grip_of(tool, report.outputs, report.inputs)

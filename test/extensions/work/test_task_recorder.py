@@ -10,27 +10,27 @@ import pytest
 import work_samples
 
 from construction_twin.core.reports import ExecutionReport
-from construction_twin.extensions.work.following import (
-    FINISHED,
-    Followed,
-    after_restart,
-    follow,
-    followed_plan,
-    followed_unseen,
-)
 from construction_twin.extensions.work.ledger import Ledger
-from construction_twin.extensions.work.received import GripReading, grip_of
+from construction_twin.extensions.work.received_messages import GripReading, grip_of
 from construction_twin.extensions.work.task_memory import PLANNABLE, SETTLED, Entry, TaskMemory, TaskState
-from construction_twin.review.record import Fate
+from construction_twin.extensions.work.task_recorder import (
+    FINISHED,
+    PlanActions,
+    actions_by_outcome,
+    events_after_restart,
+    events_of_report,
+    plan_actions,
+)
+from construction_twin.review.record import PlanRecord
 from construction_twin.robot.segments import Segment, Switch
 from construction_twin.scene.objects import SceneObject
 from construction_twin.scene.scene_change import SceneChange
 
 HELD_AS = (0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 1.0)
 STANDS = (1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 1.0)
-PLAN = Followed("p1", grips=1, releases=3)
+PLAN = PlanActions("p1", grips=1, releases=3)
 #: As the work node follows it when the topic `plan` has another one by now.
-UNKNOWN_PLAN = Followed("p1", grips=-2, releases=-2)
+UNKNOWN_PLAN = PlanActions("p1", grips=-2, releases=-2)
 #: States of `Execution.msg`.
 IDLE, PLAYING = 1, 2
 OPEN, CLOSED, UNKNOWN = GripReading(True, False), GripReading(True, True), GripReading(False, False)
@@ -87,8 +87,8 @@ class Node:
     def offer(self) -> None:
         self.add(Entry("offered", "stud", "E", offer="o1", grip="top", pose=HELD_AS))
 
-    def hear(self, report: ExecutionReport, grip: GripReading, plan: Followed = PLAN) -> None:
-        for entry in follow(self.memory, plan, report, grip, STANDS):
+    def on_report(self, report: ExecutionReport, grip: GripReading, plan: PlanActions = PLAN) -> None:
+        for entry in events_of_report(self.memory, plan, report, grip, STANDS):
             self.add(entry)
 
 
@@ -96,7 +96,7 @@ def run(node: Node, reports=REPORTS) -> None:
     node.offer()
     node.add(Entry("planned", "stud", "E", offer="o1", plan="p1"))
     for report, grip in reports:
-        node.hear(report, grip)
+        node.on_report(report, grip)
 
 
 def test_a_report_that_is_heard_again_adds_nothing(tmp_path):
@@ -111,7 +111,7 @@ def test_a_report_that_was_missed_is_made_up_for(tmp_path, gone):
     node = Node(tmp_path / "ledger")
     run(node, REPORTS[:gone] + REPORTS[gone + 1 :])
     if gone == len(REPORTS) - 1:
-        node.hear(*REPORTS[-1])
+        node.on_report(*REPORTS[-1])
     assert node.memory.state is TaskState.DONE and node.memory.base_T_element == STANDS
 
 
@@ -125,7 +125,7 @@ def test_a_kill_after_any_line_while_the_executor_goes_on(tmp_path, lines, later
         first.offer()
         first.add(Entry("planned", "stud", "E", offer="o1", plan="p1"))
         for heard, (report, grip) in enumerate(REPORTS):
-            first.hear(report, grip)
+            first.on_report(report, grip)
         first.ledger.close()
     except Killed:
         pass
@@ -133,7 +133,7 @@ def test_a_kill_after_any_line_while_the_executor_goes_on(tmp_path, lines, later
         return  # it never offered: no plan exists
     again = Node(tmp_path / "ledger")
     for report, grip in REPORTS[max(heard, later) :]:
-        again.hear(report, grip)
+        again.on_report(report, grip)
     assert again.memory.state is TaskState.DONE
     assert again.memory.placed and again.memory.base_T_element == STANDS
 
@@ -149,7 +149,7 @@ def test_a_kill_after_any_line_with_everything_else_gone_too(tmp_path, lines, gr
         pass
     again = Node(tmp_path / "ledger")
     before = again.memory.state
-    for entry in after_restart(again.memory, Fate("p1", None), grip):
+    for entry in events_after_restart(again.memory, PlanRecord("p1", None), grip):
         again.add(entry)
     state = again.memory.state
     if before is TaskState.DONE or before is TaskState.RETREATING:
@@ -172,7 +172,7 @@ def test_a_stop_after_any_report(tmp_path, heard, outcome, segment_known, plan):
     node = Node(tmp_path / "ledger")
     run(node, REPORTS[: heard + 1])
     before, (report, grip) = node.memory.state, REPORTS[heard]
-    node.hear(end(outcome, report.segment if segment_known else -1), grip, plan)
+    node.on_report(end(outcome, report.segment if segment_known else -1), grip, plan)
     state = node.memory.state
     if before is TaskState.RETREATING:
         assert state is TaskState.DONE
@@ -189,7 +189,7 @@ def test_a_switch_that_nobody_confirmed_is_asked_about_when_the_plan_is_not_know
     node = Node(tmp_path / "ledger")
     run(node, REPORTS[: heard + 1])
     lines = node.ledger.lines
-    node.hear(end("stopped", 4), grip, UNKNOWN_PLAN)
+    node.on_report(end("stopped", 4), grip, UNKNOWN_PLAN)
     assert node.memory.state is TaskState.ASKS and not node.memory.placed
     assert node.ledger.lines == lines + 1
 
@@ -197,7 +197,7 @@ def test_a_switch_that_nobody_confirmed_is_asked_about_when_the_plan_is_not_know
 def test_a_stop_before_the_grip_asks_nobody_even_if_the_tool_is_not_known(tmp_path):
     node = Node(tmp_path / "ledger")
     run(node, REPORTS[:1])
-    node.hear(end("stopped", 0), UNKNOWN)
+    node.on_report(end("stopped", 0), UNKNOWN)
     assert node.memory.state is TaskState.READY
 
 
@@ -207,18 +207,18 @@ def test_a_stop_on_the_way_to_the_grip_asks_unless_the_tool_is_surely_open(tmp_p
     ):
         node = Node(tmp_path / str(number))
         run(node, REPORTS[:2])
-        node.hear(end("stopped", 1), grip)
+        node.on_report(end("stopped", 1), grip)
         assert node.memory.state is state
 
 
 def test_an_element_that_is_in_the_grip_is_carried_on(tmp_path):
     node = Node(tmp_path / "ledger")
     run(node, REPORTS[:5])
-    node.hear(end("held", 2), CLOSED)
+    node.on_report(end("held", 2), CLOSED)
     node.add(Entry("answered", "stud", "E", answer="in_grip", person="eva"))
     assert node.memory.state is TaskState.CARRIED
     node.add(Entry("offered", "stud", "E", offer="o2"))
-    carried = Followed("p2", grips=-1, releases=1)
+    carried = PlanActions("p2", grips=-1, releases=1)
     for report in (
         play(0, plan_id="p2"),
         play(1, True, plan_id="p2"),
@@ -226,7 +226,7 @@ def test_an_element_that_is_in_the_grip_is_carried_on(tmp_path):
         play(2, plan_id="p2"),
         end("finished", plan_id="p2"),
     ):
-        for entry in follow(node.memory, carried, report, CLOSED, STANDS):
+        for entry in events_of_report(node.memory, carried, report, CLOSED, STANDS):
             node.add(entry)
     assert node.memory.state is TaskState.DONE and node.memory.placed
 
@@ -235,7 +235,7 @@ def test_other_plans_are_none_of_its_business(tmp_path):
     node = Node(tmp_path / "ledger")
     run(node, REPORTS[:3])
     for report in (play(0, plan_id="other"), end("", plan_id=""), end("finished", plan_id="other")):
-        assert follow(node.memory, PLAN, report, OPEN) == []
+        assert events_of_report(node.memory, PLAN, report, OPEN) == []
 
 
 @pytest.mark.parametrize(
@@ -255,7 +255,7 @@ def test_what_the_tool_did_before_a_stop_is_written_when_the_engagement_says_so(
     node.add(Entry("offered", "stud", "E1", offer="o1", pose=HELD_AS))
     for event in ["planned", "begun", "gripping", *before]:
         node.add(Entry(event, "stud", "E1", plan="p1", offer="o1"))
-    entries = follow(node.memory, PLAN, end("stopped", segment), CLOSED, STANDS, "measured", confirmed)
+    entries = events_of_report(node.memory, PLAN, end("stopped", segment), CLOSED, STANDS, "measured", confirmed)
     assert [entry.event for entry in entries] == events
     for entry in entries:
         node.add(entry)
@@ -288,15 +288,15 @@ CLOSE, OPEN_IT = (
     ],
 )
 def test_where_a_plan_grips_and_lets_go(ends, in_grip, found):
-    plan = followed_plan("p1", TaskMemory("stud", in_grip=in_grip), *zip(*ends), work_samples.tool().tool)
-    assert plan == Followed("p1", *found)
+    plan = plan_actions("p1", TaskMemory("stud", in_grip=in_grip), *zip(*ends), work_samples.tool().tool)
+    assert plan == PlanActions("p1", *found)
 
 
 def test_of_a_plan_that_is_not_known_any_more_only_a_finish_tells_that_it_let_go():
     held, empty = TaskMemory("stud", in_grip=True), TaskMemory("stud")
-    assert followed_unseen("p1", held, FINISHED) == Followed("p1", -1, 0)
-    assert followed_unseen("p1", empty, FINISHED) == Followed("p1", 0, 0)
-    assert followed_unseen("p1", held, "stopped") == Followed("p1", -2, -2)
+    assert actions_by_outcome("p1", held, FINISHED) == PlanActions("p1", -1, 0)
+    assert actions_by_outcome("p1", empty, FINISHED) == PlanActions("p1", 0, 0)
+    assert actions_by_outcome("p1", held, "stopped") == PlanActions("p1", -2, -2)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from construction_twin.extensions.work.convex_bodies import Pieces
+from construction_twin.extensions.work.convex_bodies import ElementPieces
 from construction_twin.extensions.work.ledger import Ledger, TaskStates
 from construction_twin.extensions.work.loaded_model import ElementFacts, LoadedModel, element_in
 from construction_twin.extensions.work.schedule import Job
@@ -67,13 +67,13 @@ def placed_at(memory: TaskMemory, base_T_goal: Pose) -> Pose:
     return pose_of_tuple(found) if found else base_T_goal
 
 
-def at(bodies: Sequence[SceneObject], pose: Pose, link: str = "") -> tuple[SceneObject, ...]:
+def bodies_at(bodies: Sequence[SceneObject], pose: Pose, link: str = "") -> tuple[SceneObject, ...]:
     """Return bodies in an element's frame at the element's pose: in the robot's base_link, or on a link."""
     return tuple(item.moved(product(pose, item.pose), link) for item in bodies)
 
 
-def change(scene: Scene, wanted: Mapping[str, SceneObject], left_alone: Collection[str]) -> SceneChange:
-    """Return what has to change so that the work's objects are the wanted ones; others are not touched."""
+def scene_change(scene: Scene, wanted: Mapping[str, SceneObject], left_alone: Collection[str]) -> SceneChange:
+    """Return the change that makes the work's objects the wanted ones."""
     there = {item.name: item for item in scene.objects}
     put = tuple(item for name, item in wanted.items() if name not in there or there[name].contents() != item.contents())
     mine = [name for name in there if "/" in name and name.split("/", 1)[0] not in left_alone]
@@ -89,7 +89,7 @@ ORIGIN = Pose(np.zeros(3), np.eye(3))
 
 def box_of(bodies: tuple[SceneObject, ...], pose: Pose) -> np.ndarray:
     """Return the lowest and highest coordinates of an element's pieces at its pose, shape (2, 3)."""
-    points = Pieces(bodies).points @ pose.rotation.T + pose.position
+    points = ElementPieces(bodies).points @ pose.rotation.T + pose.position
     return np.array([points.min(axis=0), points.max(axis=0)])
 
 
@@ -109,7 +109,7 @@ class AsBuilt:
     def __init__(self, loaded: LoadedModel, ledger: Ledger, tip_link: str):
         self.loaded, self.ledger = loaded, ledger
         self._tip_link = tip_link
-        self._kept: dict[tuple[str, str], tuple[SceneObject, ...]] = {}
+        self._stored_bodies: dict[tuple[str, str], tuple[SceneObject, ...]] = {}
         for memory in self.states.tasks.values():
             if memory.placed:
                 # what stands and cannot be shown is told at once
@@ -117,7 +117,7 @@ class AsBuilt:
 
     @property
     def states(self) -> TaskStates:
-        """What the ledger says now."""
+        """The present states of the ledger."""
         return self.ledger.states
 
     def job(self, task: str) -> Job:
@@ -142,9 +142,9 @@ class AsBuilt:
     def bodies(self, memory: TaskMemory) -> tuple[SceneObject, ...]:
         """Return an element's pieces as they were placed, of which the ledger has any; read once."""
         key = memory.element, memory.body
-        if key not in self._kept:
-            self._kept[key] = self.ledger.body(*key) if memory.body else ()
-        return self._kept[key]
+        if key not in self._stored_bodies:
+            self._stored_bodies[key] = self.ledger.saved_bodies(*key) if memory.body else ()
+        return self._stored_bodies[key]
 
     def goal_box(self, task: str) -> np.ndarray:
         """Return the box of a task's element where the model has it, shape (2, 3)."""
@@ -156,17 +156,17 @@ class AsBuilt:
         slot = self.loaded.stock.slots.get(element)
         return None if slot is None else slot.base_T_element
 
-    def present(self) -> tuple[str, ...]:
+    def in_stock(self) -> tuple[str, ...]:
         """Return the elements that lie in their stock."""
-        return self.loaded.stock.present(self.taken())
+        return self.loaded.stock.in_stock(self.out_of_stock())
 
-    def taken(self) -> list[str]:
-        """Return the elements that do not lie in their stock any more."""
+    def out_of_stock(self) -> list[str]:
+        """Return the elements that have left their stock."""
         tasks = self.states.tasks
-        return [element for element, task in self.loaded.schedule.placing.items() if tasks[task].taken]
+        return [element for element, task in self.loaded.schedule.placing.items() if tasks[task].has_left_stock]
 
-    def gone(self) -> set[str]:
-        """Return what was taken down."""
+    def taken_down(self) -> set[str]:
+        """Return the elements that people have taken down."""
         return {element for task, element in self.loaded.removals.items() if self.states.tasks[task].gone}
 
     def placing(self, element: str) -> TaskMemory | None:
@@ -191,46 +191,46 @@ class AsBuilt:
 
     def wanted_scene(self) -> tuple[dict[str, SceneObject], tuple[str, ...]]:
         """Return the work's objects of the scene by name, and the elements whose objects are left as they are."""
-        gone, former = self.gone(), {memory.element: memory for memory in self.states.former.values()}
+        gone, former = self.taken_down(), {memory.element: memory for memory in self.states.former.values()}
         wanted = {item.name: item for item in self.loaded.tool_objects}
         left_alone: list[str] = []
         # what was placed stands as it was placed, whatever the model says of it
-        kept = {element for element, memory in former.items() if memory.body}
+        placed_before = {element for element, memory in former.items() if memory.body}
         for item in self.loaded.standing:
             element = element_in(item)
             before = map(self.placing, self.loaded.comes_after.get(element, ()))
-            if element not in gone | kept and all(memory is not None and memory.placed for memory in before):
+            if element not in gone | placed_before and all(memory is not None and memory.placed for memory in before):
                 wanted[item.name] = item
 
-        def show(
+        def place(
             element: str, bodies: Sequence[SceneObject], memory: TaskMemory | None, stock: Pose | None, goal: Pose
         ) -> None:
             """Want an element where the ledger has it, or as no task places it, where the model does."""
             found: tuple[SceneObject, ...] = ()
             if memory is None or memory.placed:
                 # also while it is asked about: it stands until a person says that it does not
-                found = at(bodies, goal if memory is None else placed_at(memory, goal))
+                found = bodies_at(bodies, goal if memory is None else placed_at(memory, goal))
             elif memory.state is TaskState.ASKS:
                 left_alone.append(element)
             elif memory.in_grip:
-                found = at(bodies, pose_of_tuple(memory.tool0_T_element), self._tip_link)
+                found = bodies_at(bodies, pose_of_tuple(memory.tool0_T_element), self._tip_link)
             elif not memory.gone and stock is not None:
-                found = at(bodies, stock)
+                found = bodies_at(bodies, stock)
             wanted.update((item.name, item) for item in found)
 
         for element, memory in former.items():
             if bodies := self.bodies(memory):
-                show(element, bodies, memory, None, ORIGIN)
+                place(element, bodies, memory, None, ORIGIN)
             else:
                 left_alone.append(element)
-        present = self.present()
+        in_stock = self.in_stock()
         for element in self.elements():
-            if element in gone | kept:
+            if element in gone | placed_before:
                 continue
-            facts, stock = self.loaded.elements[element], self.stock(element) if element in present else None
+            facts, stock = self.loaded.elements[element], self.stock(element) if element in in_stock else None
             known = self.placing(element)
             bodies = self.bodies(known) if known is not None and known.placed else ()
-            show(element, bodies or facts.bodies, known, stock, facts.base_T_goal)
+            place(element, bodies or facts.bodies, known, stock, facts.base_T_goal)
         return wanted, tuple(left_alone)
 
     def counterpart(self, task: str) -> str:
@@ -257,12 +257,12 @@ class AsBuilt:
         if memory is not None and memory.tool0_T_element:
             places.append((pose_of_tuple(memory.tool0_T_element), self._tip_link))
         places.append((facts.base_T_goal, ""))
-        return tuple(at(facts.bodies, place, link) for place, link in places)
+        return tuple(bodies_at(facts.bodies, place, link) for place, link in places)
 
     def appearances(self, following: str) -> tuple[Appearance, ...]:
         """Return each element where it is, in stock, and where it is to come; `following`: the task that comes next."""
         found = []
-        present = self.present()
+        in_stock = self.in_stock()
         for element in self.elements():
             facts, memory = self.loaded.elements[element], self.placing(element)
             mine = [job.id for job in self.loaded.schedule.jobs if job.element == element]
@@ -280,6 +280,6 @@ class AsBuilt:
             found.append(Appearance(element, facts.name, word, where))
             if memory is not None and memory.in_grip:
                 found.append(Appearance(element, facts.name, "carried", pose_of_tuple(memory.tool0_T_element)))
-            elif element in present and (stock := self.stock(element)) is not None:
+            elif element in in_stock and (stock := self.stock(element)) is not None:
                 found.append(Appearance(element, facts.name, "stock", stock))
         return tuple(found)

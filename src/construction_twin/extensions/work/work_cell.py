@@ -23,8 +23,7 @@ from construction_twin.extensions.work.process import (
 )
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_rotation
-from construction_twin.robot.tool import Place as FilePose
-from construction_twin.robot.tool import ToolFile, read_tool
+from construction_twin.robot.tool import FilePose, ToolFile, read_tool
 from construction_twin.robot.urdf import read_yaml
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_yaml import read_scene
@@ -120,8 +119,8 @@ class CellFile(Strict):
 
 
 @dataclass(frozen=True, eq=False)
-class Site:
-    """A cell, read."""
+class WorkCell:
+    """The tool, recipes and scene of a cell file."""
 
     path: str
     file: CellFile
@@ -147,7 +146,7 @@ class Site:
         return found[0]
 
 
-def read_site(path: str | Path) -> Site:
+def read_work_cell(path: str | Path) -> WorkCell:
     """Read a cell file and the files that it names."""
     description = read_yaml(path, " of a cell, as config/work/timber_panel.yaml")
     try:
@@ -159,7 +158,7 @@ def read_site(path: str | Path) -> Site:
     recipes.check_tool(tool.tool)
     scene = read_scene(folder / cell.scene)
     _check_names(str(path), cell, scene)
-    return Site(str(path), cell, tool, recipes, scene)
+    return WorkCell(str(path), cell, tool, recipes, scene)
 
 
 def _check_names(path: str, cell: CellFile, scene: Scene) -> None:

@@ -1,4 +1,4 @@
-"""The work on one model, among its neighbours: planning, answers of people, and the scene that follows the ledger.
+"""The work on one model, with its services: planning, answers of people, and the scene that follows the ledger.
 
 The ledger comes first: the scene changes after its line is on the disk, and the executor waits for the scene.
 """
@@ -16,15 +16,15 @@ from construction_twin.core.reports import ExecutionReport, WorkReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.worker import WorkerError
 from construction_twin.extensions.work import decisions, engaged_scene
-from construction_twin.extensions.work.built import Appearance, Deviation, change, pose_tuple
+from construction_twin.extensions.work.as_built import Appearance, Deviation, pose_tuple, scene_change
 from construction_twin.extensions.work.errors import WorkError
-from construction_twin.extensions.work.following import Follower
 from construction_twin.extensions.work.ledger import Ledger
 from construction_twin.extensions.work.loaded_model import LoadedModel
 from construction_twin.extensions.work.process import DEFAULT, TaskMotions
-from construction_twin.extensions.work.received import Received
+from construction_twin.extensions.work.received_messages import Received
 from construction_twin.extensions.work.task_board import TaskBoard, WorkRefused
 from construction_twin.extensions.work.task_memory import UNDER_WAY, Entry, TaskState
+from construction_twin.extensions.work.task_recorder import TaskRecorder
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import RobotModel
@@ -35,7 +35,7 @@ SCENE_TIME = 2.0
 
 
 class NoAnswer(WorkError):
-    """A neighbour did not answer; it may have done what it was asked for."""
+    """A service did not answer; it may have done what it was asked for."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class UnderReview:
 
 
 @dataclass(frozen=True)
-class Neighbours:
-    """Whom the work calls; they raise a ConstructionTwinError, `NoAnswer` where the call may have had its effect.
+class WorkServices:
+    """What the work calls; each raises a ConstructionTwinError, `NoAnswer` where the call may have had its effect.
 
     Attributes:
         twin_pose, arm_pose: Joint positions [rad], [m].
@@ -71,7 +71,7 @@ class Neighbours:
     log: Callable[[str], None]
 
 
-class WorkSession:
+class WorkProgress:
     """The work on a loaded model, for several threads; its ledger is called after robot and cell file.
 
     `clock`: Returns the time since 1970 [ns]. `lock`: Guards board and ledger; free while another node is waited for.
@@ -83,21 +83,23 @@ class WorkSession:
         folder: Path,
         robot: RobotModel,
         received: Received,
-        calls: Neighbours,
+        services: WorkServices,
         clock: Callable[[], int],
     ):
         ledger = Ledger(
             folder / f"{robot.name}_{Path(loaded.cell).stem}.jsonl", loaded.after, loaded.digest, clock,
             str(Path(loaded.cell).resolve()), loaded.schedule.placing, loaded.standing_elements, robot.name,
-            loaded.present,
+            loaded.model_elements,
         )  # fmt: skip
         self.board = TaskBoard(loaded, ledger, robot.name, robot.tip_link)
-        self._received, self._calls, self._clock = received, calls, clock
-        decisions.look_around(self.board)
+        self._received, self._services, self._clock = received, services, clock
+        decisions.ask_about_other_ledgers(self.board)
         opened = f"{loaded.model}: {len(loaded.schedule.jobs)} tasks, {ledger.lines} lines in {ledger.path}"
         for said in (opened, *self.board.notes):
-            calls.log(said)
-        self._follower = Follower(self.board, received, Chain(robot), calls.arm_pose, calls.refuse, calls.log)
+            services.log(said)
+        self._recorder = TaskRecorder(
+            self.board, received, Chain(robot), services.arm_pose, services.refuse, services.log
+        )
         self.lock = threading.RLock()
         self._planning = threading.Lock()
         #: Why an engaged arm has no scene to go back in, and what that was found of.
@@ -108,22 +110,26 @@ class WorkSession:
         """Find out what became of a plan that is offered or under way in the ledger; listens so long [s]."""
         received = self._received
         # nothing is tidied before it is known whether the arm was left engaged
-        received.wait_for(lambda: received.execution is not None and not received.unsaid, min(1.0, listen_time))
+        received.wait_for(
+            lambda: received.execution is not None and not received.is_engagement_unknown, min(1.0, listen_time)
+        )
         if not self.board.states.busy:
             return
         # latched messages come within a moment of the connection; the executor may only now be starting
-        received.wait_for(lambda: received.execution is not None and received.tool_said, listen_time)
-        received.wait_for(lambda: received.plan is not None and not received.unsaid, min(1.0, listen_time))
+        received.wait_for(lambda: received.execution is not None and received.is_tool_known, listen_time)
+        received.wait_for(
+            lambda: received.plan is not None and not received.is_engagement_unknown, min(1.0, listen_time)
+        )
         with self.lock:
-            self._follower.follow(received.execution)
-            self._follower.settle()
+            self._recorder.on_report(received.execution)
+            self._recorder.settle()
 
     def catch_up(self) -> None:
         """Act on what was received. For one thread."""
         # one report for both: the scene may change only after what was written of it
         received, report = self._received, self._received.execution
         with self.lock:
-            self._follower.catch_up(report)
+            self._recorder.catch_up(report)
             idle = not self.board.states.busy
         self._change_as_planned(report)
         engaged = received.engaged
@@ -132,8 +138,8 @@ class WorkSession:
         if (idle or engaged) and not received.playing and self._planning.acquire(blocking=False):
             try:
                 if engaged:
-                    self._make_for_way_back()
-                elif received.executor_said:
+                    self._restore_scene_for_way_back()
+                elif received.is_executor_known:
                     self._tidy()
             finally:
                 self._planning.release()
@@ -157,13 +163,13 @@ class WorkSession:
         if scene is None:
             return
         with self.lock:
-            wrong = change(scene, *self.board.built.wanted_scene())
+            wrong = scene_change(scene, *self.board.built.wanted_scene())
         if wrong != SceneChange():
             self._edit(scene.hash, wrong)
 
-    def _make_for_way_back(self) -> str:
+    def _restore_scene_for_way_back(self) -> str:
         """Make the scene one in which an engaged arm can go back, after the ledger's line; return why not."""
-        received, left, board = self._received, self._received.left, self.board
+        received, left, board = self._received, self._received.left_engaged, self.board
         if left is None:
             return Sentence(
                 "the executor has not said yet where the arm was left engaged; its log says whether the disk takes it"
@@ -177,8 +183,8 @@ class WorkSession:
                 return ""
             if received.playing:
                 return Sentence("a plan is under way, and the scene is not the one for the way back; wait for its end")
-            self._follower.follow(received.execution)
-            self._follower.settle_if_lost()
+            self._recorder.on_report(received.execution)
+            self._recorder.settle_if_lost()
             memory = board.states.tasks.get(left.task)
             if memory is not None and memory.plan == left.plan_id and memory.state in UNDER_WAY:
                 return Sentence("{task}: how its plan ended is not written yet; ask again", task=board.title(left.task))
@@ -189,10 +195,10 @@ class WorkSession:
                 return self._blocked
             element = board.element_of(left.task) if memory is not None else ""
             forms = board.built.forms(left.task) if memory is not None else ()
-            found = engaged_scene.due(left, scene, segments, changes, received.scenes(), element, forms)
+            found = engaged_scene.restoring_change(left, scene, segments, changes, received.scenes(), element, forms)
         if isinstance(found, str):
             self._blocked, self._blocked_in = found, about
-            self._calls.refuse("engagement", found)
+            self._services.refuse("engagement", found)
             return found
         # tried again as long as the scene node refuses
         self._blocked, self._blocked_in = self._edit(scene.hash, found, found.apply(scene).hash), None
@@ -202,9 +208,9 @@ class WorkSession:
         """Have the scene changed and wait until it is received; return why not."""
         received = self._received
         try:
-            made = self._calls.edit_scene(before, wanted, after)
+            made = self._services.edit_scene(before, wanted, after)
         except ConstructionTwinError as error:
-            self._calls.refuse("edit_scene", str(error))
+            self._services.refuse("edit_scene", str(error))
             return str(error)
         if not received.wait_for(lambda: received.scene is not None and received.scene.hash == made, SCENE_TIME):
             return "the scene was changed, but is not published"
@@ -224,17 +230,17 @@ class WorkSession:
         received = self._received
         try:
             with self.lock:
-                problem = self.board.left_closed(self._follower.grip().commanded)
-            if problem:
-                raise WorkRefused(problem)
+                obstacle = self.board.empty_grip_remedy(self._recorder.grip().commanded)
+            if obstacle:
+                raise WorkRefused(obstacle)
             if received.engaged:
-                received.wait_for(lambda: not received.unsaid, SCENE_TIME)
+                received.wait_for(lambda: not received.is_engagement_unknown, SCENE_TIME)
             return self._plan_way_back(asked) if received.engaged else self._plan_task(asked)
         finally:
             self._planning.release()
-            received.announce()
+            received.notify()
 
-    def _allowed(self, asked: str) -> str:
+    def _plannable_task(self, asked: str) -> str:
         now = self._clock()
         with self.lock:
             task = asked or self.board.next(now)
@@ -244,28 +250,28 @@ class WorkSession:
 
     def _plan_task(self, asked: str) -> UnderReview:
         board = self.board
-        task = self._allowed(asked)
+        task = self._plannable_task(asked)
         self._tidy()
         with self.lock:
             # while the scene was made right, somebody may have said something else
-            self._allowed(task)
+            self._plannable_task(task)
             memory = board.states.tasks[task]
             held = memory.tool0_T_element if memory.state is TaskState.CARRIED else ()
             scene = self._received.scene
             if scene is None:
                 raise WorkRefused("the scene is not known; see why the scene node is down")
-            if change(scene, *board.built.wanted_scene()) != SceneChange():
+            if scene_change(scene, *board.built.wanted_scene()) != SceneChange():
                 raise WorkRefused(
                     "the scene could not be made what the ledger says; /diagnostics of the node work says why"
                 )
-        start = self._calls.twin_pose()
+        start = self._services.twin_pose()
         try:
-            plan = self._calls.plan(task=task, element=board.element_of(task), start=start, scene=scene, held=held)
+            plan = self._services.plan(task=task, element=board.element_of(task), start=start, scene=scene, held=held)
         except (WorkError, WorkerError) as error:
-            board.failures[task] = board.called(str(error))
+            board.failures[task] = board.with_names(str(error))
             raise WorkRefused(board.failures[task]) from error
         board.failures.pop(task, None)
-        self._calls.log(f"{board.title(task)}: planned with {plan.method}")
+        self._services.log(f"{board.title(task)}: planned with {plan.method}")
         return self._offer(task, plan)
 
     def _offer(self, task: str, plan: TaskMotions) -> UnderReview:
@@ -275,7 +281,7 @@ class WorkSession:
         held = () if plan.tool0_T_element is None else pose_tuple(plan.tool0_T_element)
         named = "" if process == DEFAULT else process
         with self.lock:
-            self._allowed(task)
+            self._plannable_task(task)
             board.add(Entry("offered", task, offer=offer, grip=plan.method, pose=held, process=named))
         how = f"{named}, {plan.method}" if named else plan.method
 
@@ -284,13 +290,13 @@ class WorkSession:
             return memory.state is TaskState.PLANNED and not memory.plan
 
         try:
-            answer = self._calls.plan_work(task, f"{title} by {how}, offer {offer}", plan.segments)
+            answer = self._services.plan_work(task, f"{title} by {how}, offer {offer}", plan.segments)
         except ConstructionTwinError as error:
             with self.lock:
                 if not isinstance(error, NoAnswer):
                     board.add(Entry("dropped", task, offer=offer, reason=str(error)))
                 elif unnamed():
-                    self._follower.settle_offer(task, offer)
+                    self._recorder.settle_offer(task, offer)
                 board.failures[task] = str(error)
             raise WorkRefused(str(error)) from error
         with self.lock:
@@ -301,12 +307,12 @@ class WorkSession:
 
     def _plan_way_back(self, asked: str) -> UnderReview:
         received = self._received
-        problem = self._make_for_way_back()
+        obstacle = self._restore_scene_for_way_back()
         before = received.plan.plan.id if received.plan is not None else ""
-        if problem:
-            raise WorkRefused(_only_way_back(problem))
+        if obstacle:
+            raise WorkRefused(_only_way_back(obstacle))
         try:
-            said = self._calls.plan_way_back()
+            answer = self._services.plan_way_back()
         except ConstructionTwinError as error:
             raise WorkRefused(_only_way_back(str(error))) from error
         received.wait_for(lambda: received.plan is not None and received.plan.plan.id != before, SCENE_TIME)
@@ -314,7 +320,7 @@ class WorkSession:
         if known is None or known.plan.id == before:
             raise WorkRefused(Sentence("the way back was planned, but is not published"))
         plan = known.plan
-        sentence = Sentence("the arm is engaged: the way back comes first; {answer}", answer=said)
+        sentence = Sentence("the arm is engaged: the way back comes first; {answer}", answer=answer)
         return UnderReview(sentence, asked, plan.id, plan.hash, plan.trajectory.duration)
 
     # -- people
@@ -330,27 +336,27 @@ class WorkSession:
                     sentence = decisions.answer_all(board, answer, person, reason)
                 case "answer":
                     sentence = decisions.answer(board, task, answer, person, reason, question)
-                    if problem := board.left_closed(self._follower.grip().commanded):
+                    if problem := board.empty_grip_remedy(self._recorder.grip().commanded):
                         sentence = Sentence("{first}; {second}", first=sentence, second=problem)
                 case "skip" | "redo" | "removed":
                     sentence = getattr(decisions, decision)(board, task, person, reason)
                 case _:
                     raise WorkRefused(f"decision {decision!r}; expected skip, redo, answer, removed or accept_schedule")
-        self._calls.log(f"{sentence} ({person})")
-        self._received.announce()
+        self._services.log(f"{sentence} ({person})")
+        self._received.notify()
         return sentence
 
-    def measured(self, element: str, pose: Pose, person: str, reason: str) -> Deviation:
+    def record_measured(self, element: str, pose: Pose, person: str, reason: str) -> Deviation:
         """Record where a person has measured an element."""
         with self.lock:
-            found = decisions.measured(self.board, element, pose, person, reason)
-        self._received.announce()
+            found = decisions.record_measured(self.board, element, pose, person, reason)
+        self._received.notify()
         return found
 
-    def report(self) -> WorkReport:
+    def state_report(self) -> WorkReport:
         """Return the state of the work."""
         with self.lock:
-            report = self.board.report(self._clock())
+            report = self.board.state_report(self._clock())
         if self._received.execution is None or not self._received.execution.engaged:
             return report
         return replace(report, engaged=True, reason=_only_way_back(self._blocked))

@@ -1,4 +1,4 @@
-"""The arm as both sides of the gateway have it: its parts, its state, and how it is stopped. rad and ns."""
+"""The arm under the gateway's control: its parts, its state, and how it is stopped. rad and ns."""
 
 from __future__ import annotations
 
@@ -28,66 +28,66 @@ class Refusals:
 
     def __init__(self, counters: Counter[str]):
         self._counters = counters
-        #: Reason and sentence of the last one that no stop has caused; of the one that stopped the arm, until `forgive`.
+        #: Reason and sentence of the last one that no stop has caused; of the one that stopped the arm, until `clear_cause`.
         self.last = ""
         #: Of the last one since the one that stopped the arm; "" for none.
         self.later = ""
         #: Datagrams refused since the last telegram that could be read; the last one's reason and sentence, "" before the first.
         self.unread, self.unread_reason, self.unread_why = 0, "", ""
-        self._keeps = self._stopped = False
-        self._told_at = -NANOSECONDS
-        self.begin_session()
+        self._has_own = self._stopped = False
+        self._published_at = -NANOSECONDS
+        self.begin_controller_session()
 
-    def begin_session(self) -> None:
-        """Begin anew with what cannot be read: a telegram could be."""
-        self._told_reason, self._told_count = "", 0
+    def begin_controller_session(self) -> None:
+        """Restart the count of what cannot be read: a telegram could be."""
+        self._published_reason, self._published_count = "", 0
 
-    def message(self, reason: str, why: object, follows: bool = False) -> None:
+    def count_message(self, reason: str, why: object, follows: bool = False) -> None:
         """Count a message on MQTT as ``refused_<reason>``; one that `follows` only from a stop takes no other's place."""
-        if follows and self._keeps:
+        if follows and self._has_own:
             self._counters[f"refused_{reason}"] += 1
             return
-        self._note(f"refused_{reason}", reason, why)
-        self._keeps = not follows
+        self._record(f"refused_{reason}", reason, why)
+        self._has_own = not follows
 
-    def stopped(self) -> None:
-        """Keep the last one: the arm was stopped for it."""
+    def on_stop(self) -> None:
+        """Hold the last one: the arm was stopped for it."""
         self._stopped, self.later = True, ""
 
-    def telegram(self, reason: str, why: object) -> None:
+    def count_telegram(self, reason: str, why: object) -> None:
         """Count a datagram on RSI's port as ``telegram_refused_<reason>``."""
-        self._note(f"telegram_refused_{reason}", f"telegram {reason}", why)
-        self._keeps = True
+        self._record(f"telegram_refused_{reason}", f"telegram {reason}", why)
+        self._has_own = True
         self.unread += 1
         self.unread_reason, self.unread_why = reason, str(why)[:LONGEST_REFUSAL]
 
-    def forgive(self) -> None:
-        """After a reset, or with another command session: what stopped the one before is no longer the cause of anything."""
+    def clear_cause(self) -> None:
+        """Release the one that stopped the arm: after a reset, or with another command session."""
         self.last, self.later = self.later or self.last, ""
-        self._keeps = self._stopped = False
+        self._has_own = self._stopped = False
 
-    def unread_news(self, now: int) -> tuple[str, bool]:
-        """Return what cannot be read, once a second, "" for nothing, and whether it is refused for another reason than before."""
-        if now < self._told_at + NANOSECONDS or self.unread == self._told_count:
+    def pop_unread(self, now: int) -> tuple[str, bool]:
+        """Return what cannot be read, once a second, "" for nothing, and whether the reason is a new one."""
+        if now < self._published_at + NANOSECONDS or self.unread == self._published_count:
             return "", False
-        reason, is_new = self.unread_reason, self.unread_reason != self._told_reason
-        self._told_at, self._told_count, self._told_reason = now, self.unread, reason
+        reason, is_new = self.unread_reason, self.unread_reason != self._published_reason
+        self._published_at, self._published_count, self._published_reason = now, self.unread, reason
         count, why = self.unread, self.unread_why
-        said = Sentence(
+        text = Sentence(
             "datagrams refused: {count}, the last one for {reason}: {why}", count=count, reason=reason, why=why
         )
-        return said, is_new
+        return text, is_new
 
-    def _note(self, counter: str, reason: str, why: object) -> None:
+    def _record(self, counter: str, reason: str, why: object) -> None:
         self._counters[counter] += 1
-        said = f"{reason}: {why}"[:LONGEST_REFUSAL]
+        text = f"{reason}: {why}"[:LONGEST_REFUSAL]
         if self._stopped:
-            self.later = said
+            self.later = text
         else:
-            self.last = said
+            self.last = text
 
 
-class ArmSide:
+class ArmControl:
     """The parts of a gateway, its state, and what every side of it may ask: to brake, stop and end.
 
     Args:
@@ -126,7 +126,7 @@ class ArmSide:
         self.tool = ToolSwitches(config.tool, config.layout, config.cycle_ns, self.counters) if config.tool else None
         self.intake = CommandIntake(config, self.codec, self.player)
         #: Returns a sentence with what the mode means for the arm, so that one at rest is not taken for a fault.
-        self.noted = partial(self.mode.noted, words=config.make.words)
+        self.with_mode = partial(self.mode.describe, words=config.make.words)
         #: Stamp of the target in the last answer [ns]; 0 for none.
         self.command_stamp = 0
         #: The end of the controller's program was asked for.
@@ -144,7 +144,7 @@ class ArmSide:
         return self.machine.reason
 
     @property
-    def session(self) -> str:
+    def command_session(self) -> str:
         """Id of the session that may command; "" for none."""
         return "" if self.machine.state is State.FAILED else self.intake.stream.session
 
@@ -179,7 +179,7 @@ class ArmSide:
         """Drop the command session, clear the fault."""
         self.disarm(Sentence("reset"))
         self.fault, self.stopped, self.ending = False, "", False
-        self.refusals.forgive()
+        self.refusals.clear_cause()
         if self.mode is Mode.COMMISSIONING or not any(self.controller.replies.correction):
             # the arm stands at its origin, or where a program of the controller took it: the next stream begins there
             self.controller.renew_origin()
@@ -194,7 +194,7 @@ class ArmSide:
         self.player.clear()
 
     def brake(self, event: Event, reason: str, account: str = "", ending: bool = False) -> None:
-        """Take an event of `states.CAUSES`, for a `reason`."""
+        """Brake for an event of `states.CAUSES`, with a `reason`."""
         why = Sentence("{cause}: {reason}", cause=CAUSES[event], reason=reason)
         self.machine.on(event, Occasion(why, account=account, ending=ending))
 
@@ -208,10 +208,10 @@ class ArmSide:
         self.ending = self.config.layout.stop
 
     @property
-    def ends(self) -> bool:
+    def ends_program(self) -> bool:
         """True when replies must end the controller's program: the end was asked for, and the arm is at rest."""
         return self.ending and self.state in (State.HOLDING, State.MEASURING, State.OTHER_CYCLE)
 
     def fail(self, reason: str) -> None:
-        """Take note of an unexpected exception: the last resort answers, for good. Only state and fault are touched."""
+        """Enter FAILED after an unexpected exception: the last resort answers, for good. Only state and fault are touched."""
         self.machine.on(Event.FAILURE, Occasion(reason))

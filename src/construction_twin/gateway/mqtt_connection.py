@@ -1,4 +1,4 @@
-"""What the gateway hears and says on MQTT: commands, control and stops in; states, status and answers out. `now` in ns."""
+"""What the gateway receives and publishes on MQTT: commands, control and stops in; states, status and answers out. `now` in ns."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from paho.mqtt import client as paho
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.histogram import Histogram
 from construction_twin.core.rate_limit import LineLimiter
-from construction_twin.core.records import SPACED, dumped
-from construction_twin.core.sentences import Sentence, told
+from construction_twin.core.records import SPACED, to_json
+from construction_twin.core.sentences import Sentence, templates_of
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.states import State
 from construction_twin.gateway.stop_file import StopFile
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.client import Broker, make_client, offline_word, subscriptions, unique_id
-from construction_twin.mqtt.failures import ConnectionReport
+from construction_twin.mqtt.failures import ConnectionLog
 from construction_twin.mqtt.messages import (
     PROTOCOL,
     VERBS,
@@ -42,12 +42,12 @@ _STATUS_PERIOD = NANOSECONDS
 QUIET = NANOSECONDS // 20
 
 
-class MqttSide:
+class MqttConnection:
     """One gateway's connection to the broker, served in the pause behind an answer to the controller.
 
     Args:
         polled: Has a client served by the loop.
-        guarded: Runs a part and takes its unexpected exception: paho would handle a message again whose callback raised.
+        run_guarded: Runs a part and takes its unexpected exception: paho would handle a message again whose callback raised.
         stops: Keeps a stop beyond this run; None: it is forgotten.
 
     Attributes:
@@ -62,36 +62,36 @@ class MqttSide:
         broker: Broker,
         topics: Topics,
         polled: Callable[..., PolledClient],
-        guarded: Callable,
+        run_guarded: Callable,
         stops: StopFile | None,
         reply_time: Histogram,
     ):
         self.now = 0
         self.failure = ""
         self.ending = False
-        self._due_at = self._heard_at = 0
+        self._due_at = self._received_at = 0
         self._gateway = gateway
         self._topics = topics
-        self._guarded = guarded
+        self._run_guarded = run_guarded
         self._stops = stops
         self._reply_time = reply_time
         # a last will may come late, when another run, or this one over another connection, speaks already: it says whose it is
         self._number = 1
         will = offline_word(gateway.run, self._number)
         client = make_client(broker, unique_id(topics.robot, "gateway"), topics.status, will)
-        self._connection = ConnectionReport(broker, self._say_connection)
-        client.on_connect = partial(guarded, self._on_connect)
-        client.on_disconnect = partial(guarded, self._on_disconnect)
-        client.on_stream(topics.command, partial(guarded, self._on_command))
-        client.message_callback_add(topics.control, partial(guarded, self._on_control))
-        client.message_callback_add(topics.stop_by("+"), partial(guarded, self._on_stop))
+        self._connection = ConnectionLog(broker, self._log_connection)
+        client.on_connect = partial(run_guarded, self._on_connect)
+        client.on_disconnect = partial(run_guarded, self._on_disconnect)
+        client.on_stream(topics.command, partial(run_guarded, self._on_command))
+        client.message_callback_add(topics.control, partial(run_guarded, self._on_control))
+        client.message_callback_add(topics.stop_by("+"), partial(run_guarded, self._on_stop))
         client.connect_async(broker.host, broker.port, broker.keepalive)
         self.polled = polled(client, on_failure=self._connection.failed)
         self._client = client
         self._lines = LineLimiter()
         self._speed_answer: tuple = ()
 
-    # -- heard
+    # -- received
 
     def _on_connect(self, client, userdata, flags, reason_code, properties) -> None:
         if reason_code.is_failure:
@@ -107,7 +107,7 @@ class MqttSide:
         if info is not None:
             self._connection.watch_publish(client, self._topics.status, info.mid)
 
-    def _say_connection(self, sentence: str) -> None:
+    def _log_connection(self, sentence: str) -> None:
         log.log(logging.INFO if self.ending else logging.ERROR, "%s", sentence)
 
     def _on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
@@ -128,7 +128,7 @@ class MqttSide:
 
     def _refuse_retained(self, name: str) -> None:
         why = f"a message on {name} with the retain flag: its age is unknown"
-        self._gateway.refusals.message("retained", why)
+        self._gateway.refusals.count_message("retained", why)
 
     def _on_control(self, client, userdata, message: paho.MQTTMessage) -> None:
         if message.retain:
@@ -137,8 +137,8 @@ class MqttSide:
         try:
             control = parse_control(bytes(message.payload))
         except PayloadError as error:
-            self._gateway.refusals.message(error.reason, error)
-            self.say(logging.WARNING, f"refused on {error.reason}", str(error))
+            self._gateway.refusals.count_message(error.reason, error)
+            self.log_line(logging.WARNING, f"refused on {error.reason}", str(error))
             return
         done = self._gateway.on_control(control, self.now)
         ok, reason = done.ok, done.reason
@@ -152,9 +152,9 @@ class MqttSide:
         verb = control.verb if control.verb in VERBS else "unknown verb"
         answer = ControlAnswer(control.id, control.verb, ok, reason, control.session)
         of_stop = control.verb == "stop"
-        self._answer(self._topics.control_ack, partial(dumped, answer, SPACED, said=True), of_stop)
+        self._answer(self._topics.control_ack, partial(to_json, answer, SPACED, translatable=True), of_stop)
         level, kind = (logging.INFO, verb) if ok else (logging.WARNING, f"refused {verb}")
-        self._gateway.side_effects.run("the log", self.say, level, kind, f"session {control.session}: {reason}")
+        self._gateway.side_effects.run("the log", self.log_line, level, kind, f"session {control.session}: {reason}")
 
     def _on_stop(self, client, userdata, message: paho.MQTTMessage) -> None:
         account, payload = "", bytes(message.payload)
@@ -175,9 +175,9 @@ class MqttSide:
             self._answer(
                 self._topics.stop_ack, lambda: requests.STOP.payload(**identity_of(payload), **known), of_stop=True
             )
-        self._gateway.side_effects.run("the log", self.say, *line)
+        self._gateway.side_effects.run("the log", self.log_line, *line)
 
-    # -- said
+    # -- sent
 
     def _answer(self, topic: str, payload: Callable[[], bytes], of_stop: bool) -> None:
         """Publish the status, then an answer: its reader must not act on an older status. That of a stop may fail."""
@@ -198,24 +198,24 @@ class MqttSide:
 
     def publish_status(self, final: bool = False) -> paho.MQTTMessageInfo | None:
         """Publish the status; where it cannot be made the gateway has failed, and says what is certain."""
-        return self._send_status(lambda: self._guarded(self._document) or self._document_of_failure(), final)
+        return self._send_status(lambda: self._run_guarded(self._document) or self._document_of_failure(), final)
 
     def is_status_due(self, answered: bool) -> bool:
         """Return whether to send the periodic status: in the pause after an answer, because it takes part of a cycle to make."""
         if answered:
-            self._heard_at = self.now
-        return self.now >= self._due_at and (answered or self.now - self._heard_at >= QUIET)
+            self._received_at = self.now
+        return self.now >= self._due_at and (answered or self.now - self._received_at >= QUIET)
 
     def _send_status(self, document: Callable[[], dict], final: bool = False) -> paho.MQTTMessageInfo | None:
         self._due_at = self.now + _STATUS_PERIOD
         if self._stops is not None:
-            self._stops.keep(self._gateway.stopped or self.failure)
+            self._stops.save(self._gateway.stopped or self.failure)
         if not self.polled.connected:
             return None
         status = document() | {"connection": self._number}
         if final:
             status |= {"state": "offline", "reason": Sentence("gateway stopped")}
-        status["said"] = told(status)
+        status["said"] = templates_of(status)
         return self._client.publish(self._topics.status, json.dumps(status), qos=1, retain=True)
 
     def _document(self) -> dict:
@@ -239,8 +239,8 @@ class MqttSide:
             "properties": config.properties,
         }
 
-    def say(self, level: int, kind: str, text: str) -> None:
+    def log_line(self, level: int, kind: str, text: str) -> None:
         """Write a line of a kind, not too often."""
-        note = self._lines.note(kind, self.now)
-        if note is not None:
-            log.log(level, "%s: %s%s", kind, text, note)
+        more = self._lines.admit(kind, self.now)
+        if more is not None:
+            log.log(level, "%s: %s%s", kind, text, more)

@@ -12,7 +12,7 @@ from processes import wait_until
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.ros.shared.stop_memory import PARAMETER, StopMemory
+from construction_twin.ros.shared.saved_parameter import PARAMETER, SavedParameter
 
 
 class Server:
@@ -33,8 +33,8 @@ class Server:
         self.written.append(session)
 
 
-def keep(memory: StopMemory, session: str, now: int) -> None:
-    memory.keep(session, now)
+def save(memory: SavedParameter, session: str, now: int) -> None:
+    memory.save(session, now)
     wait_until(lambda: not memory.writing)
 
 
@@ -45,35 +45,35 @@ def test_a_new_launch_begins_without():
 
 def test_writes_changes_only():
     server = Server()
-    memory = StopMemory("", server.write)
+    memory = SavedParameter("", server.write)
     for now, session in enumerate(("", "", "s1", "s1", "", "s2", "s2")):
-        keep(memory, session, now)
-    assert server.written == ["s1", "", "s2"] and memory.problem == ""
+        save(memory, session, now)
+    assert server.written == ["s1", "", "s2"] and memory.fault == ""
 
 
 def test_the_sentence_of_a_link_travels_as_a_text():
     server, reason = Server(), Sentence("stop sent to the gateway, plan dropped; call reset to go on")
-    keep(StopMemory("", server.write), reason, 0)
+    save(SavedParameter("", server.write), reason, 0)
     assert server.written == [reason]
 
 
 def test_what_is_there_already_is_not_written_again():
     server = Server()
-    keep(StopMemory("s1", server.write), "s1", 0)
+    save(SavedParameter("s1", server.write), "s1", 0)
     assert server.written == []
 
 
 def test_a_slow_master_holds_nobody_up_and_the_newest_is_written_in_the_end():
     server = Server()
     server.go_on.clear()
-    memory = StopMemory("", server.write)
-    memory.keep("s1", 0)
-    memory.keep("", 1)
-    memory.keep("s2", 2)
+    memory = SavedParameter("", server.write)
+    memory.save("s1", 0)
+    memory.save("", 1)
+    memory.save("s2", 2)
     assert server.written == []
     server.go_on.set()
     wait_until(lambda: not memory.writing)
-    keep(memory, "s2", 3)
+    save(memory, "s2", 3)
     assert server.written == ["s1", "s2"]
 
 
@@ -81,11 +81,11 @@ def test_a_slow_master_holds_nobody_up_and_the_newest_is_written_in_the_end():
 def test_says_that_it_could_not_be_kept_and_tries_again_after_a_while(error):
     server = Server()
     server.away = error
-    memory = StopMemory("", server.write)
-    keep(memory, "s1", 0)
-    assert "nobody there" in memory.problem
+    memory = SavedParameter("", server.write)
+    save(memory, "s1", 0)
+    assert "nobody there" in memory.fault
     server.away = None
-    keep(memory, "s1", NANOSECONDS // 2)
+    save(memory, "s1", NANOSECONDS // 2)
     assert server.written == []
-    keep(memory, "s1", NANOSECONDS)
-    assert server.written == ["s1"] and memory.problem == ""
+    save(memory, "s1", NANOSECONDS)
+    assert server.written == ["s1"] and memory.fault == ""

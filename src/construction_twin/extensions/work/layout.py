@@ -10,13 +10,13 @@ import numpy as np
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work.building import BuildingModel, Element
-from construction_twin.extensions.work.contacts import Shapes
-from construction_twin.extensions.work.convex_bodies import Pieces
+from construction_twin.extensions.work.contacts import ShapeDistances
+from construction_twin.extensions.work.convex_bodies import ElementPieces
 from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.process import WorkJob
 from construction_twin.extensions.work.schedule import Job
-from construction_twin.extensions.work.site import DeliveredRack, LyingRack, Site, StackRack, inverse, pose_of
 from construction_twin.extensions.work.wholes import comes_after
+from construction_twin.extensions.work.work_cell import DeliveredRack, LyingRack, StackRack, WorkCell, inverse, pose_of
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_rotation
 from construction_twin.scene.objects import Scene, SceneObject, product, tool_objects
@@ -41,9 +41,9 @@ class StockPlan:
     slots: Mapping[str, Slot]
     stacks: frozenset[str] = frozenset()
 
-    def present(self, taken: Collection[str]) -> tuple[str, ...]:
+    def in_stock(self, out_of_stock: Collection[str]) -> tuple[str, ...]:
         """Return what lies in stock: an element of a later load when its slot, or its whole stack, is empty."""
-        gone = set(taken)
+        gone = set(out_of_stock)
         left: dict[tuple[str, int], int] = {}
         for element, slot in self.slots.items():
             if element not in gone:
@@ -55,12 +55,12 @@ class StockPlan:
             if element not in gone and slot.load == left[self._unit(slot)]
         )
 
-    def instead_of(self, element: str, taken: Collection[str]) -> str:
+    def later_element_in_slot(self, element: str, out_of_stock: Collection[str]) -> str:
         """Return the element of a later load that counts as delivered where this one is to lie again; empty: none."""
         slot = self.slots.get(element)
         if slot is None:
             return ""
-        for other in self.present({*taken, element}):
+        for other in self.in_stock({*out_of_stock, element}):
             own = self.slots[other]
             if self._unit(own) == self._unit(slot) and own.load > slot.load:
                 return other
@@ -71,17 +71,17 @@ class StockPlan:
 
 
 def plan_stock(
-    site: Site, building: BuildingModel, order: Sequence[str], corners: Mapping[str, np.ndarray]
+    work_cell: WorkCell, building: BuildingModel, order: Sequence[str], corners: Mapping[str, np.ndarray]
 ) -> StockPlan:
     """Give every element a slot; `corners`: shape (n, 3), points that enclose it, in its frame [m]."""
-    base_T_model = inverse(site.model_T_base(building))
-    members: dict[str, list[Element]] = {name: [] for name in site.file.racks}
+    base_T_model = inverse(work_cell.model_T_base(building))
+    members: dict[str, list[Element]] = {name: [] for name in work_cell.file.racks}
     for element in map(building.element, order):
-        members[_rack_of(site, element)].append(element)
-    stacks = frozenset(name for name, rack in site.file.racks.items() if isinstance(rack, StackRack))
+        members[_rack_of(work_cell, element)].append(element)
+    stacks = frozenset(name for name, rack in work_cell.file.racks.items() if isinstance(rack, StackRack))
     slots: dict[str, Slot] = {}
     for name, elements in members.items():
-        rack, where = site.file.racks[name], f"{site.path}/racks/{name}"
+        rack, where = work_cell.file.racks[name], f"{work_cell.path}/racks/{name}"
         poses = [] if isinstance(rack, DeliveredRack) else rack.poses
         if rack.order == "file":
             place = {element: number for number, element in enumerate(building.elements)}
@@ -104,11 +104,11 @@ def plan_stock(
     return StockPlan({element: slots[element] for element in order}, stacks)
 
 
-def _rack_of(site: Site, element: Element) -> str:
-    for name, rack in site.file.racks.items():
+def _rack_of(work_cell: WorkCell, element: Element) -> str:
+    for name, rack in work_cell.file.racks.items():
         if rack.holds.fits(element):
             return name
-    where = f"{site.path}/racks for element {element.name!r} ({element.id}), {element.ifc_class}"
+    where = f"{work_cell.path}/racks for element {element.name!r} ({element.id}), {element.ifc_class}"
     raise ConfigurationError(where, None, "a rack that holds it")
 
 
@@ -163,7 +163,7 @@ class Layout:
 
     def __init__(
         self,
-        site: Site,
+        work_cell: WorkCell,
         building: BuildingModel,
         pieces: Mapping[str, Sequence[SceneObject]],
         order: Sequence[str],
@@ -171,24 +171,24 @@ class Layout:
         standing: Mapping[str, Sequence[SceneObject]] = MappingProxyType({}),
         jobs: Sequence[Job] = (),
     ):
-        self.site, self.building, self.order = site, building, tuple(order)
+        self.work_cell, self.building, self.order = work_cell, building, tuple(order)
         self.pieces = {element: tuple(pieces[element]) for element in order}
-        self._base_T_model = inverse(site.model_T_base(building))
-        self._tool = tool_objects(site.tool, link)
-        corners = {element: Pieces(items).points for element, items in self.pieces.items()}
-        own = (Job(one, "", "", one, (), (), site.recipes.process(building.element(one))) for one in order)
+        self._base_T_model = inverse(work_cell.model_T_base(building))
+        self._tool = tool_objects(work_cell.tool, link)
+        corners = {element: ElementPieces(items).points for element, items in self.pieces.items()}
+        own = (Job(one, "", "", one, (), (), work_cell.recipes.process(building.element(one))) for one in order)
         self._jobs = {job.id: job for job in jobs or own}
         placed = {job.element for job in self._jobs.values() if job.moves}
         self.stays = tuple(element for element in order if element not in placed)
         moved = [element for element in order if element in placed]
-        self.stock: StockPlan = plan_stock(site, building, moved, corners)
+        self.stock: StockPlan = plan_stock(work_cell, building, moved, corners)
         self.standing = tuple(
             replace(item.moved(product(self.base_T_goal(element), item.pose)), fixed=True)
             for element, items in standing.items()
             for item in items
         )
         self.comes_after = comes_after(building.elements, moved)
-        self._shapes = Shapes()
+        self._shapes = ShapeDistances()
         self._stood: dict[tuple[str, bytes], tuple[SceneObject, ...]] = {}
 
     def base_T_goal(self, element: str) -> Pose:
@@ -202,27 +202,27 @@ class Layout:
             placed: ``base_T_element`` as built.
             gone: Elements that are neither in stock nor placed.
         """
-        objects = [*self.site.scene.objects]
+        objects = [*self.work_cell.scene.objects]
         for item in self.standing:
             element = item.name.split("/", 1)[0]
             if element not in gone and placed.keys() >= self.comes_after.get(element, frozenset()):
                 objects.append(item)
         objects += self._tool
-        for element in self.stock.present({*placed, *gone}):
-            objects += self._at(element, self.stock.slots[element].base_T_element)
+        for element in self.stock.in_stock({*placed, *gone}):
+            objects += self._objects_at(element, self.stock.slots[element].base_T_element)
         for element in self.stays:
             if element not in placed and element not in gone:
-                objects += self._at(element, self.base_T_goal(element))
+                objects += self._objects_at(element, self.base_T_goal(element))
         for element, pose in placed.items():
             if element in self.pieces:
-                objects += self._at(element, pose)
-        return Scene(tuple(objects), self.site.scene.padding)
+                objects += self._objects_at(element, pose)
+        return Scene(tuple(objects), self.work_cell.scene.padding)
 
     def job_for(self, element: str, scene: Scene, task: str = "") -> WorkJob:
         """Return the job of an element; `task`: its id, by default the element's first."""
         asked = self._jobs.get(task) or next(job for job in self._jobs.values() if job.element == element)
         built, slot = self.building.element(element), self.stock.slots.get(element) if asked.moves else None
-        goal = self.base_T_goal(element) if asked.moves else self._stands(element, scene)
+        goal = self.base_T_goal(element) if asked.moves else self._standing_pose(element, scene)
         of_task = self.building.tasks.get(asked.task)
         of_work = {item.name for items in self.pieces.values() for item in items}
         of_work |= {item.name for item in self.standing}
@@ -234,7 +234,7 @@ class Layout:
             for name in self._shapes.near(self.pieces[element], [pose], others, scene.padding)
         }
         x, y, z = map(float, self._base_T_model.rotation[:, 2])
-        fixed = {*self.site.file.supports, *([] if slot is None else [slot.surface])} & set(scene.names)
+        fixed = {*self.work_cell.file.supports, *([] if slot is None else [slot.surface])} & set(scene.names)
         return WorkJob(
             task or element,
             built,
@@ -246,14 +246,14 @@ class Layout:
             task_properties={} if of_task is None else of_task.properties,
         )
 
-    def _stands(self, element: str, scene: Scene) -> Pose:
+    def _standing_pose(self, element: str, scene: Scene) -> Pose:
         """Return where an element stands in a scene, or as designed."""
         first = self.pieces[element][0]
         if first.name not in scene.names or scene.get(first.name).link:
             return self.base_T_goal(element)
         return product(scene.get(first.name).pose, inverse(first.pose))
 
-    def _at(self, element: str, base_T_element: Pose) -> tuple[SceneObject, ...]:
+    def _objects_at(self, element: str, base_T_element: Pose) -> tuple[SceneObject, ...]:
         key = element, base_T_element.position.tobytes() + base_T_element.rotation.tobytes()
         if key not in self._stood:
             if len(self._stood) >= _STOOD:
