@@ -135,7 +135,14 @@ class _Reading:
         beyond: Some `Completion` is above 1: nobody knows what the others are parts of.
     """
 
-    def __init__(self, parents: dict[int, _Entity], groups: Groups, built_from_inputs: Collection[str], units: Units, notes: Notes):
+    def __init__(
+        self,
+        parents: dict[int, _Entity],
+        groups: Groups,
+        built_from_inputs: Collection[str],
+        units: Units,
+        notes: Notes,
+    ):
         self._groups, self._built_from_inputs, self._notes = groups, built_from_inputs, notes
         self._time_unit = units.factors.get("TIMEUNIT")
         self._units, self._parents = units, parents
