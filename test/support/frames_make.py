@@ -36,7 +36,7 @@ class Frames:
     switched_holdon: ClassVar[tuple] = ()
     outputs: ClassVar[tuple] = ()
     inputs: ClassVar[tuple] = ()
-    unfilled: ClassVar[tuple] = ()
+    not_filled: ClassVar[tuple] = ()
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Nothing:
 
     sentence: ClassVar[str] = ""
 
-    def report(self) -> dict:
+    def status_fields(self) -> dict:
         return {}
 
 

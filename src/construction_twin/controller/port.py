@@ -47,7 +47,7 @@ class Layout(Protocol):
         """Per channel of `switched`: whether it keeps its value when a reply is missed, or falls to 0."""
 
     @property
-    def unfilled(self) -> tuple[str, ...]:
+    def not_filled(self) -> tuple[str, ...]:
         """Channels that no reply fills, for people."""
 
     @property

@@ -160,8 +160,8 @@ def _run(argv: list[str]) -> int:
         )
     if destination != address[0] and address[0] != "0.0.0.0":
         log.warning("%s tells the controller to send to address %s, not %s", words.description, destination, address[0])
-    if config.layout.unfilled:
-        log.info("channels that no reply fills, so they stay as they are: %s", ", ".join(config.layout.unfilled))
+    if config.layout.not_filled:
+        log.info("channels that no reply fills, so they stay as they are: %s", ", ".join(config.layout.not_filled))
     if service.gateway.mode is not Mode.NORMAL:
         log.warning("%s", service.gateway.with_mode(f"mode {service.gateway.mode.value}"))
     if stops.found:

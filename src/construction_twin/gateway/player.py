@@ -145,7 +145,7 @@ class Player:
         #: Stamp of the target last played [ns]; 0 for none.
         self.stamp = 0
         self._stamp_before = 0
-        #: How many times the arm has standstills for want of replies since it trailed its stream by nothing.
+        #: How many times the arm has stood for want of replies since it trailed its stream by nothing.
         self.standstills = 0
         #: Braking since the stream ran dry; None while it has not.
         self.braking: Braking | None = None

@@ -103,7 +103,7 @@ def read_ethernet_xml(text: str, where: str) -> EthernetXml:
         send=tuple(element.tag.removeprefix("DEF_") for element in send),
         receive=tuple(element.tag for element in filled),
         holdon=tuple(element.holdon == "1" for element in filled),
-        unfilled=tuple(element.tag for element in outputs),
+        not_filled=tuple(element.tag for element in outputs),
         switched=tuple(element.tag.removeprefix(f"{SET}.") for element in switched),
         switched_holdon=tuple(element.holdon == "1" for element in switched),
     )

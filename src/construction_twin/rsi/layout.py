@@ -26,7 +26,7 @@ class RsiLayout:
         send: Blocks of a packet as they appear on the wire, in order, e.g. ``AIPos``; `IPOC` follows.
         receive: Channels of a reply in order: ``Stop``, or element and axis, e.g. ``AK.A1``; `IPOC` follows.
         holdon: Per channel of `receive`: True keeps the last value when a reply is missed, False falls to 0.
-        unfilled: Digital outputs that the file declares, e.g. ``Out.01``; no reply carries them, so they stay as they are at
+        not_filled: Digital outputs that the file declares, e.g. ``Out.01``; no reply carries them, so they stay as they are at
             RSI's start.
         switched: Channels of a reply that set a tool's outputs, without ``Set.``, in order: ``Enable`` and the outputs' names.
         switched_holdon: Per channel of `switched`, as `holdon`.
@@ -40,7 +40,7 @@ class RsiLayout:
     send: tuple[str, ...]
     receive: tuple[str, ...]
     holdon: tuple[bool, ...]
-    unfilled: tuple[str, ...] = ()
+    not_filled: tuple[str, ...] = ()
     switched: tuple[str, ...] = ()
     switched_holdon: tuple[bool, ...] = ()
 

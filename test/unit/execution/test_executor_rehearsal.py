@@ -20,7 +20,7 @@ ENGINE = "MuJoCo 4.0.0"
 WHY = "the flange carries 240.0 kg; the arm is rated for 120.0 kg"
 
 
-def connection_log(plan, state=PASSED, **changes) -> RehearsalReport:
+def report_of(plan, state=PASSED, **changes) -> RehearsalReport:
     reasons = () if state == PASSED else (WHY,)
     return replace(
         RehearsalReport(plan.id, plan.hash, plan.scene, "t", "i", state, reasons, engine=ENGINE, hash="f00d"), **changes
@@ -48,7 +48,7 @@ def override(bench, plan, reason="seen by the crane's driver", seen="f00d"):
 
 class TestRequired:
     def test_a_plan_that_has_passed_is_approved_and_the_record_says_by_which_rehearsal(self, bench):
-        plan = offered(bench, connection_log)
+        plan = offered(bench, report_of)
         bench.review(plan.id, plan.hash, True, "Ada")
         assert bench.state is ExecutorState.PLAYING
         assert bench.records[0].rehearsal == Rehearsed(PASSED, "f00d", ENGINE)
@@ -57,12 +57,12 @@ class TestRequired:
         "report, words",
         [
             (None, "was not rehearsed yet"),
-            (lambda plan: connection_log(plan, FAILED), "has failed its rehearsal"),
-            (lambda plan: connection_log(plan, BROKEN), "could not be rehearsed"),
-            (lambda plan: connection_log(plan, plan_hash="0" * 64), "was not rehearsed yet"),
-            (lambda plan: connection_log(plan, scene="another"), "was not rehearsed yet"),
-            (lambda plan: connection_log(plan, tool="another"), "was not rehearsed yet"),
-            (lambda plan: connection_log(plan, plan_id="another"), "was not rehearsed yet"),
+            (lambda plan: report_of(plan, FAILED), "has failed its rehearsal"),
+            (lambda plan: report_of(plan, BROKEN), "could not be rehearsed"),
+            (lambda plan: report_of(plan, plan_hash="0" * 64), "was not rehearsed yet"),
+            (lambda plan: report_of(plan, scene="another"), "was not rehearsed yet"),
+            (lambda plan: report_of(plan, tool="another"), "was not rehearsed yet"),
+            (lambda plan: report_of(plan, plan_id="another"), "was not rehearsed yet"),
         ],
     )
     def test_nothing_else_is_approved_and_the_refusal_is_on_record(self, bench, report, words):
@@ -80,17 +80,17 @@ class TestRequired:
         assert [(record.verdict, record.rehearsal.overridden) for record in bench.records] == [("refused", False)]
 
     def test_the_newest_result_of_a_plan_counts(self, bench):
-        plan = offered(bench, connection_log)
-        bench.approval.rehearsal.on_report(connection_log(plan, FAILED))
+        plan = offered(bench, report_of)
+        bench.approval.rehearsal.on_report(report_of(plan, FAILED))
         with pytest.raises(ReviewError, match=f"has failed its rehearsal: {WHY}"):
             bench.review(plan.id, plan.hash, True, "Ada")
 
     def test_one_that_fails_while_its_approval_is_written_down_starts_nothing(self, bench):
-        plan = offered(bench, connection_log)
+        plan = offered(bench, report_of)
 
         def disk(record):
             bench.records.append(record)
-            bench.approval.rehearsal.on_report(connection_log(plan, FAILED))
+            bench.approval.rehearsal.on_report(report_of(plan, FAILED))
 
         bench.record = disk
         with pytest.raises(ReviewError, match=f"has failed its rehearsal: {WHY}"):
@@ -103,23 +103,23 @@ class TestRequired:
         assert bench.executor.under_review.plan is None
 
     def test_results_of_other_plans_are_forgotten_only_behind_the_newest(self, bench):
-        plan = offered(bench, connection_log)
+        plan = offered(bench, report_of)
         for number in range(3):
-            bench.approval.rehearsal.on_report(connection_log(make_plan(f"q{number}")))
+            bench.approval.rehearsal.on_report(report_of(make_plan(f"q{number}")))
         assert bench.approval.rehearsal.report_of(plan) is not None
-        bench.approval.rehearsal.on_report(connection_log(make_plan("q4")))
+        bench.approval.rehearsal.on_report(report_of(make_plan("q4")))
         assert bench.approval.rehearsal.report_of(plan) is None
 
     def test_what_needs_no_person_waits_for_it_and_is_withdrawn_when_it_fails(self, bench):
         plan = offered(bench)
         assert bench.approval.approve_automatically(bench.stamp) is None
         assert bench.executor.under_review.plan is plan
-        bench.approval.rehearsal.on_report(connection_log(plan, FAILED))
+        bench.approval.rehearsal.on_report(report_of(plan, FAILED))
         assert bench.approval.approve_automatically(bench.stamp) is None
         assert bench.executor.under_review.plan is None and bench.state is ExecutorState.IDLE
         passed = make_plan("q")
         bench.executor.offer(passed)
-        bench.approval.rehearsal.on_report(connection_log(passed))
+        bench.approval.rehearsal.on_report(report_of(passed))
         taken = bench.approval.approve_automatically(bench.stamp)
         assert taken is not None and taken.reviewer == AUTO_APPROVE
 
@@ -127,7 +127,7 @@ class TestRequired:
 class TestOverride:
     @pytest.mark.parametrize("state", [FAILED, BROKEN])
     def test_by_name_and_with_a_reason_it_starts_and_is_on_record(self, bench, state):
-        plan = offered(bench, lambda plan: connection_log(plan, state))
+        plan = offered(bench, lambda plan: report_of(plan, state))
         override(bench, plan)
         assert bench.state is ExecutorState.PLAYING
         assert (bench.records[0].reviewer, bench.records[0].rehearsal) == (
@@ -141,7 +141,7 @@ class TestOverride:
 
     @pytest.mark.parametrize("seen", ["", "0ld", "f00", "f00d "])
     def test_not_where_another_result_was_seen(self, bench, seen):
-        plan = offered(bench, lambda plan: connection_log(plan, FAILED))
+        plan = offered(bench, lambda plan: report_of(plan, FAILED))
         with pytest.raises(ReviewError, match="something else than was seen:") as caught:
             override(bench, plan, seen=seen)
         assert str(WHY) in str(caught.value)
@@ -151,12 +151,12 @@ class TestOverride:
         ]
 
     def test_not_by_a_result_that_counts_no_more(self, bench):
-        plan = offered(bench, lambda plan: connection_log(plan, FAILED, scene="another"))
+        plan = offered(bench, lambda plan: report_of(plan, FAILED, scene="another"))
         with pytest.raises(ReviewError, match="something else than was seen:"):
             override(bench, plan)
         assert bench.state is ExecutorState.IDLE
 
-    @pytest.mark.parametrize("before, seen", [(None, ""), (lambda plan: connection_log(plan, BROKEN), "f00d")])
+    @pytest.mark.parametrize("before, seen", [(None, ""), (lambda plan: report_of(plan, BROKEN), "f00d")])
     @pytest.mark.parametrize(
         "state, words",
         [
@@ -170,7 +170,7 @@ class TestOverride:
 
         def disk(record):
             bench.records.append(record)
-            bench.approval.rehearsal.on_report(connection_log(plan, state, hash="2nd"))
+            bench.approval.rehearsal.on_report(report_of(plan, state, hash="2nd"))
 
         bench.record = disk
         with pytest.raises(ReviewError, match=words):
@@ -180,20 +180,20 @@ class TestOverride:
         assert (approved.rehearsal.hash, approved.rehearsal.overridden, ending.outcome) == (seen, True, "dropped")
 
     def test_not_without_the_plans_hash(self, bench):
-        plan = offered(bench, lambda plan: connection_log(plan, FAILED))
+        plan = offered(bench, lambda plan: report_of(plan, FAILED))
         with pytest.raises(ReviewError, match="name the plan's hash"):
             bench.approval.review(plan.id, "", True, "Ada", "because", override="f00d")
         assert bench.state is ExecutorState.IDLE
 
     @pytest.mark.parametrize("reason", ["", "  "])
     def test_not_without_a_reason(self, bench, reason):
-        plan = offered(bench, lambda plan: connection_log(plan, FAILED))
+        plan = offered(bench, lambda plan: report_of(plan, FAILED))
         with pytest.raises(ReviewError, match="say why"):
             override(bench, plan, reason)
         assert bench.state is ExecutorState.IDLE
 
     def test_not_where_there_is_nothing_to_override(self, bench):
-        plan = offered(bench, connection_log)
+        plan = offered(bench, report_of)
         with pytest.raises(ReviewError, match="nothing to override"):
             override(bench, plan)
         assert bench.state is ExecutorState.IDLE
@@ -215,7 +215,7 @@ class TestAdvised:
         bench = Bench()
         bench.approval.rehearsal = RehearsalCheck(tool="t")
         bench.ready()
-        plan = offered(bench, lambda plan: connection_log(plan, FAILED))
+        plan = offered(bench, lambda plan: report_of(plan, FAILED))
         bench.review(plan.id, plan.hash, True, "Ada")
         assert bench.state is ExecutorState.PLAYING and bench.records[0].rehearsal == Rehearsed(FAILED, "f00d", ENGINE)
 

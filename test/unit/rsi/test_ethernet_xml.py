@@ -108,7 +108,7 @@ def test_the_file_of_the_ros_industrial_driver_is_used_as_it_is():
     assert (ethernet.address, layout.port) == ("192.168.1.25", 59152)
     assert layout.send == ("RIst", "RSol", "AIPos", "ASPos", "Delay")
     assert layout.receive == RsiLayout.plain(AXES).receive
-    assert layout.unfilled == tuple(f"Out.0{number}" for number in range(1, 9))
+    assert layout.not_filled == tuple(f"Out.0{number}" for number in range(1, 9))
     assert b"Out" not in SensorEncoder.of(layout, AXES).encode((0.0,) * 6, 4)
     # an output of another type has a meaning that nobody knows here
     assert refusal(changed('"Out.03" TYPE="BOOL"', '"Out.03" TYPE="LONG"', ROS_INDUSTRIAL)).element == "RECEIVE Out.03"

@@ -111,7 +111,7 @@ class Command:
         if write_or_print(self._options.file, config.to_json()):
             tool = f"tool {config.tool.name}, {', '.join(make.tool_channels(layout))}" if config.tool else "no tool"
             unfilled = (
-                f"; not filled, so they stay as they are: {', '.join(layout.unfilled)}" if layout.unfilled else ""
+                f"; not filled, so they stay as they are: {', '.join(layout.not_filled)}" if layout.not_filled else ""
             )
             print(
                 f"{self._options.file}: configuration {config.hash[:12]} of {config.robot}, {config.decimals} decimals; "
