@@ -83,7 +83,7 @@ class Refusals:
 
 
 def open_node_io(diagnostics, mirrors=False, waits="", keep=lambda name, value: None) -> SimpleNamespace:
-    """Return ports whose publishers are lists, by topic, and what an earlier bridge has kept; `keep` takes name and value."""
+    """Return a node's IO whose publishers are lists, by topic, and what an earlier bridge has kept; `keep` takes name and value."""
     return SimpleNamespace(
         publishers=defaultdict(Published),
         diagnostics=diagnostics,

@@ -164,6 +164,6 @@ class BuildingModel:
 
     @cached_property
     def labels(self) -> dict[str, str]:
-        """What a sentence has for each id of element and task that has a name, see `names.named`."""
+        """What a sentence has for each id of element and task that has a name, see `names.with_names`."""
         tasks = {task.id: task.name for task in self.tasks.values()}
         return {**labels(tasks), **labels({one.id: one.name for one in self.elements.values()})}
