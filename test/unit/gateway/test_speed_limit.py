@@ -344,8 +344,9 @@ def test_whatever_limits_come_and_go_every_cycle_is_inside_the_arm_s_limits(limi
             cell.cycle()
             cell.positions.append(cell.measured)
     if not losses and not cell.count("settling"):
-        # with 3 decimals the stream's rounding is followed too: up to 3.5e-4 rad beside the path where a limit of 0 held it (seen)
-        assert_on_path(cell, 1e-7 if decimals == 6 else 5e-4)
+        assert_on_path(
+            cell, 1e-7 if decimals == 6 else 5e-4
+        )  # the rounding of 3 decimals is followed, too: 3.5e-4 seen
     for _ in range(200):
         cell.cycle()
         cell.positions.append(cell.measured)
