@@ -344,9 +344,8 @@ def test_whatever_limits_come_and_go_every_cycle_is_inside_the_arm_s_limits(limi
             cell.cycle()
             cell.positions.append(cell.measured)
     if not losses and not cell.count("settling"):
-        assert_on_path(
-            cell, 1e-7 if decimals == 6 else 5e-4
-        )  # the rounding of 3 decimals is followed, too: 3.5e-4 seen
+        # the rounding of 3 decimals is followed, too: 3.5e-4 seen
+        assert_on_path(cell, 1e-7 if decimals == 6 else 5e-4)
     for _ in range(200):
         cell.cycle()
         cell.positions.append(cell.measured)
