@@ -1,8 +1,7 @@
 """A plan, carried out by the simulated arm faster than real time, before a person approves it. SI; joints as in `PhysicsModel`.
 
-It finds torques against what the drives can give, the payload against the arm's rating, contacts that the plan does not have, how
-far the arm goes on when it must stop at the worst moment, and what becomes of what is let go. Each segment of a plan has a scene of
-its own; what was let go in one goes on lying where it lies in the next.
+It finds torques against the drives', the payload against the arm's rating, contacts that the plan does not have, how far the arm goes
+on when it must stop at the worst moment, and what becomes of what is let go: that lies on in the scene of the next segment.
 """
 
 from __future__ import annotations
@@ -60,6 +59,8 @@ _SAME = 1e-4
 _COMING_TO_REST = 0.2
 #: Longest time that braking may take [s].
 _LONGEST_BRAKING = 10.0
+#: What simulates.
+ENGINE = f"MuJoCo {mujoco.__version__}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,10 +108,6 @@ class Rehearsal:
             reason = Sentence("the simulation broke off: {problem}", problem=" ".join(str(error).split()))
             found = replace(named, reasons=(reason,))
         return with_hash(found, clock() - begin)
-
-
-#: What simulates.
-ENGINE = f"MuJoCo {mujoco.__version__}"
 
 
 def rigid_bodies(scenes: Iterable[Scene]) -> dict[str, str]:
