@@ -305,8 +305,8 @@ def _check_home(robot: RobotModel) -> None:
 def find_other_joints(model: URDF, chain: Collection[str], positions: Mapping[str, float]) -> tuple[OtherJoint, ...]:
     """Return the movable joints outside of the chain, in the URDF's order.
 
-    They stand where ``other_joints`` of the robot YAML, `positions`, says [rad], [m]; others at zero, or, where their range does not
-    hold it, in its middle; mimic joints follow.
+    They stand where ``other_joints`` of the robot YAML, `positions`, says [rad], [m]; others at zero, or, where their range does
+    not hold it, in its middle; mimic joints follow.
     """
     others = {joint.name: joint for joint in model.joints if joint.joint_type != "fixed" and joint.name not in chain}
     settable = [name for name, joint in others.items() if joint.mimic is None and joint.joint_type in _UNITS]

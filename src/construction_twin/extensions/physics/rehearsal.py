@@ -1,7 +1,7 @@
 """A plan, carried out by the simulated arm faster than real time, before a person approves it. SI; joints as in `PhysicsModel`.
 
-It finds torques against the drives', the payload against the arm's rating, contacts that the plan does not have, how far the arm goes
-on when it must stop at the worst moment, and what becomes of what is let go: that lies on in the scene of the next segment.
+It finds torques against the drives', the payload against the arm's rating, contacts that the plan does not have, how far the arm
+goes on when it must stop at the worst moment, and what becomes of what is let go: that lies on in the scene of the next segment.
 """
 
 from __future__ import annotations
