@@ -104,7 +104,11 @@ def virtual_display():
 def fraction(picture: Path, colour: str) -> float:
     """Return which fraction of a PNG has one of the `COLOURS`, light or in shadow."""
     low, high, least_saturation, least_value = COLOURS[colour]
-    hue, saturation, value = colors.rgb_to_hsv(image.imread(picture)[..., :3]).transpose(2, 0, 1)
+    pixels = image.imread(picture)
+    if pixels.ndim == 2:
+        # a picture in grey: nothing is drawn yet
+        return 0.0
+    hue, saturation, value = colors.rgb_to_hsv(pixels[..., :3]).transpose(2, 0, 1)
     inside = (low <= hue) & (hue <= high) if low <= high else (low <= hue) | (hue <= high)
     return float((inside & (saturation >= least_saturation) & (value >= least_value)).mean())
 
