@@ -105,8 +105,7 @@ def fraction(picture: Path, colour: str) -> float:
     """Return which fraction of a PNG has one of the `COLOURS`, light or in shadow."""
     low, high, least_saturation, least_value = COLOURS[colour]
     pixels = image.imread(picture)
-    if pixels.ndim == 2:
-        # a picture in grey: nothing is drawn yet
+    if pixels.ndim == 2:  # grey: nothing is drawn yet
         return 0.0
     hue, saturation, value = colors.rgb_to_hsv(pixels[..., :3]).transpose(2, 0, 1)
     inside = (low <= hue) & (hue <= high) if low <= high else (low <= hue) | (hue <= high)
