@@ -303,6 +303,7 @@ def test_a_running_gateway_counts_all_moves_nothing_and_does_not_grow(broker, to
         gateway.terminate()
         assert gateway.wait(10.0) == 0
     finally:
+        print(f"the gateway, which had ended with {gateway.poll()}, said: {log.read_text(errors='replace')[-2000:]}")
         gateway.kill()
         gateway.wait(10.0)
         arm.close()
