@@ -2,7 +2,7 @@
 """Component "connect": the connection to one robot.
 
 In:  folder (text), host (text), port (whole number), robot (text), prefix (text, or empty for twin),
-     account (text: path of account.json or certificate.json; empty: a broker without accounts), on (true or false)
+     account (text: path of account.json; empty: a broker without accounts), on (true or false)
 Out: twin (the connection, for the other components), text (one line)
 """
 

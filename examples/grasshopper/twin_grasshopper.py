@@ -65,9 +65,8 @@ def make_transport(host: str, port: int, account: str = "") -> MqttTransport:
     """Connect to the broker.
 
     Args:
-        host, port: Of the broker: the TLS port for a password, the one above it for a client certificate.
-        account: `account.json` (password) or `certificate.json` (client certificate) of a folder that make_site made; empty: a
-            broker without accounts, on one machine.
+        host, port: Of the broker.
+        account: `account.json` of a folder that make_site made; empty: a broker without accounts, on one machine.
     """
     try:
         if not account:
@@ -76,9 +75,6 @@ def make_transport(host: str, port: int, account: str = "") -> MqttTransport:
         content = json.loads(path.read_text(encoding="utf-8"))
         file = {key: str(path.parent / value) for key, value in content.items() if key.endswith("_file")}
         tls = {"ca_certs": file["ca_file"]}
-        if "cert_file" in file:
-            tls |= {"certfile": file["cert_file"], "keyfile": file["key_file"]}
-            return MqttTransport(host, port, tls_options=tls)
         password = Path(file["password_file"]).read_text(encoding="utf-8").splitlines()[0]
         return AccountTransport(host, port, content["user"], password, tls_options=tls)
     except (OSError, ValueError, KeyError) as error:

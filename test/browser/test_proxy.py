@@ -12,14 +12,13 @@ import pytest
 from console_page import ConsolePage
 from console_site import ConsoleSite
 from playwright.sync_api import expect
-from processes import ROOT, listens, wait_until
-from site_broker import free_ports
+from processes import ROOT, free_port, listens, wait_until
 
 
 @pytest.fixture
 def proxied(site: ConsoleSite, tmp_path) -> Iterator[str]:
     """The page's address behind nginx, whose configuration is the one of docs/broker.md with the names of this site."""
-    port = free_ports()
+    port = free_port()
     (server,) = re.findall(r"^server \{\n.*?^\}$", (ROOT / "docs/broker.md").read_text(), re.MULTILINE | re.DOTALL)
     for there, here in (
         ("listen 443 ssl", f"listen 127.0.0.1:{port} ssl"),

@@ -9,9 +9,9 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
-from processes import ROOT, BrokerProcess, listens, wait_until
+from processes import ROOT, BrokerProcess, free_port, listens, wait_until
 from scripted_robot import VIEW, XACRO, ScriptedRobot
-from site_broker import ROBOTS, SiteBroker, free_ports
+from site_broker import ROBOTS, SiteBroker
 
 from construction_twin.mqtt.client import Broker
 from construction_twin.robot.urdf import expand_xacro
@@ -64,7 +64,7 @@ class OpenSite:
 
     def __init__(self, folder: Path):
         self._folder = folder
-        self._port = free_ports()
+        self._port = free_port()
         self._broker = BrokerProcess()
         self._console: subprocess.Popen | None = None
         write_robot_files(folder / "private")
@@ -108,7 +108,7 @@ class ConsoleSite:
         hosts: tuple[str, ...] = (),
     ):
         self.folder = folder
-        self.port = free_ports()
+        self.port = free_port()
         self.private = folder / "private"
         write_robot_files(self.private)
         names = ("localhost", "127.0.0.1", *hosts)
@@ -116,7 +116,6 @@ class ConsoleSite:
             folder / "site",
             hosts=names,
             plc=False,
-            certificates=False,
             consoles=names,
             persons=PEOPLE,
         )

@@ -2,35 +2,20 @@
 
 from __future__ import annotations
 
-import socket
 import subprocess
 import sys
 import threading
 from pathlib import Path
 
 from paho.mqtt import client as paho
-from processes import ROOT, listens, wait_until
+from processes import ROOT, free_port, listens, wait_until
 
 from construction_twin.broker.access import Site
-from construction_twin.broker.make_site import SiteFolder
+from construction_twin.broker.make_site import make_site
 from construction_twin.mqtt.client import Account, Broker, load_account, make_client, unique_id
 
 HOSTS = ("localhost", "127.0.0.1")
 ROBOTS = ("one", "two")
-
-
-def free_ports() -> int:
-    """Return a port that is free together with the one above it."""
-    while True:
-        with socket.socket() as low, socket.socket() as high:
-            low.bind(("127.0.0.1", 0))
-            port = low.getsockname()[1]
-            if port < 65535 and high.connect_ex(("127.0.0.1", port + 1)):
-                try:
-                    high.bind(("127.0.0.1", port + 1))
-                except OSError:
-                    continue
-                return port
 
 
 class SiteBroker:
@@ -38,10 +23,10 @@ class SiteBroker:
 
     def __init__(self, folder: Path, **changes):
         self.folder = folder
-        settings = {"hosts": HOSTS, "robots": ROBOTS, "plc": True, "certificates": True, "listen": "127.0.0.1"}
+        settings = {"hosts": HOSTS, "robots": ROBOTS, "plc": True, "listen": "127.0.0.1"}
         settings["persons"] = ("vic:look",)
-        self.site = Site(**(settings | {"port": free_ports(), "folder": str(folder / "broker")} | changes))
-        self.said = SiteFolder(folder).create_missing(self.site)
+        self.site = Site(**(settings | {"port": free_port(), "folder": str(folder / "broker")} | changes))
+        self.said = make_site(folder, self.site)
         #: What the broker says.
         self.log = folder / "broker.log"
         self._process = None
@@ -50,8 +35,7 @@ class SiteBroker:
         command = [sys.executable, str(ROOT / "nodes/broker"), "--config", str(self.folder / "broker/mosquitto.conf")]
         with open(self.log, "a") as log:
             self._process = subprocess.Popen(command, stdout=log, stderr=log)
-        for port in (self.site.port, self.site.port + 1)[: 1 + self.site.certificates]:
-            wait_until(lambda port=port: listens(port), what=f"mosquitto listening on {port}")
+        wait_until(lambda: listens(self.site.port), what=f"mosquitto listening on {self.site.port}")
 
     def stop(self) -> None:
         if self._process is not None:
@@ -59,13 +43,12 @@ class SiteBroker:
             self._process.wait(5.0)
             self._process = None
 
-    def account(self, name: str, kind: str = "account") -> Account:
-        return load_account(self.folder / "accounts" / name / f"{kind}.json")
+    def account(self, name: str) -> Account:
+        return load_account(self.folder / "accounts" / name / "account.json")
 
     def broker(self, account: Account | None, host: str = "localhost", **changes) -> Broker:
-        """Return where a client finds this broker, on the port for its kind of account."""
-        certificate = account is not None and bool(account.cert_file)
-        return Broker(host, self.site.port + certificate, account=account, **changes)
+        """Return where a client finds this broker."""
+        return Broker(host, self.site.port, account=account, **changes)
 
 
 class Listener:

@@ -33,7 +33,6 @@ class Site:
         hosts, consoles: Names and addresses under which clients reach the broker, and browsers the console.
         persons: Who may do what, as ``ada:operate,approve@kr120_1,kr120_2``; without ``@`` at every. Those of one name add up.
         plc: Also an account for a PLC that commands in place of the bridge.
-        certificates: Also a listener for client certificates, on the port above the TLS `port`.
         folder: Where the broker finds its files.
         listen: The address on which it listens; empty: all.
     """
@@ -42,7 +41,6 @@ class Site:
     robots: tuple[str, ...]
     persons: tuple[str, ...] = ()
     plc: bool = False
-    certificates: bool = False
     port: int = 8883
     prefix: str = "twin"
     folder: str = ""
@@ -64,8 +62,8 @@ class Site:
         for option, names in (("--host", self.hosts), ("--robot", self.robots)):
             if not names:
                 raise ConfigurationError(option, "", "at least one")
-        if not 0 < self.port < 65535:
-            raise ConfigurationError("--port", self.port, "1 to 65534; client certificates use the one above it")
+        if not 0 < self.port < 65536:
+            raise ConfigurationError("--port", self.port, "1 to 65535")
         if not self.folder or re.search(r"\s", self.folder):
             raise ConfigurationError("--broker-folder", self.folder, "a path without spaces, for mosquitto.conf")
         for words in self.persons:
@@ -86,7 +84,7 @@ class Site:
         return merged((), (read_person(words)[0] for words in self.persons))
 
     def accounts(self) -> list[str]:
-        """Return the name of every account: MQTT user name, and common name of its certificate."""
+        """Return the name of every account."""
         return [*(account for robot in self.robots for account in self.programs(robot)), *self.people()]
 
     def rights(self, robot: str) -> dict[str, list[str]]:
@@ -130,10 +128,8 @@ def access_rules(site: Site, template: Callable[[str], str]) -> str:
 
 def broker_configuration(site: Site, template: Callable[[str], str]) -> str:
     """Return mosquitto's configuration; parameters as in `access_rules`."""
-    values = {"folder": site.folder, "port": site.port, "certificate_port": site.port + 1}
-    values["address"] = f" {site.listen}" if site.listen else ""
-    names = ["site.conf", *["site_certificates.conf"] * site.certificates]
-    return "".join(Template(template(name)).substitute(values) for name in names)
+    address = f" {site.listen}" if site.listen else ""
+    return Template(template("site.conf")).substitute(folder=site.folder, port=site.port, address=address)
 
 
 def merged(old: Iterable[str], new: Iterable[str]) -> tuple[str, ...]:

@@ -1,147 +1,173 @@
-"""make_site: one command that makes a broker's certificates, accounts and access rules for a site. Needs no ROS.
+"""make_site: a broker's certificates, accounts and access rules for a site. Needs no ROS.
 
-What exists is kept: a second run adds robots, people and names, and replaces nothing that it is not asked to replace.
+Each run signs the certificates anew; keys and passwords that exist stay. What shall be made anew is deleted first.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import ipaddress
 import json
+import os
 import re
 import secrets
+import shutil
+import subprocess
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
 from construction_twin.broker.access import RIGHTS, Site, access_rules, broker_configuration, merged, read_person
-from construction_twin.broker.certificates import Authority, expiry, make_folder, run_tool, write_private
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, command_message
 from construction_twin.core.share import share_file
 
-#: Lifetime of certificates [days]: what most software accepts at most.
-DAYS = 825
-#: What follows when the CA's certificate is signed anew.
-_NEEDED = "every tablet and every client needs the new ca.crt"
+#: Lifetime of a CA, and of a server's certificate: what most software accepts at most [days].
+CA_DAYS, DAYS = 3650, 825
+_CA = ("basicConstraints=critical,CA:true,pathlen:0", "keyUsage=critical,keyCertSign,cRLSign")
+_SERVER = (
+    "basicConstraints=critical,CA:false",
+    "keyUsage=critical,digitalSignature",
+    "extendedKeyUsage=serverAuth",
+    "authorityKeyIdentifier=keyid",
+)
+_PACKAGES = {"openssl": "openssl", "mosquitto_passwd": "mosquitto"}
 
 
-class SiteFolder:
-    """The files of a site: `ca/`, `broker/`, `console/`, `accounts/<name>/`, `site.json`."""
+# -- files and programs
 
-    def __init__(self, folder: Path):
-        self._folder, self._broker, self._console = folder, folder / "broker", folder / "console"
-        self._settings = folder / "site.json"
 
-    def load(self) -> dict:
-        """Return the settings of the last run, empty before the first one; ConstructionTwinError when they cannot be read."""
-        if not self._settings.exists():
-            return {}
-        try:
-            document = json.loads(self._settings.read_text(encoding="utf-8"))
-            if unknown := {*document} - {field.name for field in dataclasses.fields(Site)}:
-                raise ValueError(f"it holds {sorted(unknown)}, which no site has")
-            return {key: tuple(value) if isinstance(value, list) else value for key, value in document.items()}
-        except (OSError, ValueError, TypeError, AttributeError) as error:
-            raise ConstructionTwinError(f"{self._settings} cannot be read: {error}; restore it") from error
+def write_private(path: Path, content: str | bytes) -> None:
+    """Write a file in one step, readable by its owner only."""
+    path.parent.mkdir(mode=0o700, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    try:
+        with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+            file.write(content.encode() if isinstance(content, str) else content)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
-    def create_missing(
-        self, site: Site, days: int = DAYS, renew: bool = False, replace: Iterable[str] = (), renew_ca: bool = False
-    ) -> list[str]:
-        """Make what is missing; return sentences on what was done. ConstructionTwinError, e.g. when the CA may not vouch for one.
 
-        Args:
-            days: Lifetime of new certificates.
-            renew, renew_ca: Sign all certificates, or the CA's for the names of this site, anew for the same keys.
-            replace: Accounts that get a new password and a new key.
-        """
-        replace, before = set(replace), self.load()
-        if unknown := replace - {*site.accounts()}:
-            raise ConfigurationError(
-                "--replace", sorted(unknown), f"accounts of this site: {', '.join(site.accounts())}"
-            )
-        rules, configuration = access_rules(site, _template), broker_configuration(site, _template)
-        for folder in (self._folder, self._broker, self._folder / "accounts"):
-            make_folder(folder)
-        names, is_new = merged(site.hosts, site.consoles), not (self._folder / "ca").exists()
-        authority, lines = Authority(self._folder / "ca", names), []
-        if is_new:
-            lines.append(
-                f"made a CA in {self._folder / 'ca'}, for {', '.join(names)} only; keep ca.key off the network"
-            )
-        elif renew_ca:
-            authority.sign_anew(names)
-            for path in (self._folder / "accounts").glob("*/ca.crt"):
-                write_private(path, authority.certificate.read_bytes())
-            lines.append(f"signed the CA's certificate anew, for {', '.join(names)} only: {_NEEDED}")
-        elif missing := authority.not_permitted(names):
-            found = f"the site's CA may not vouch for {', '.join(missing)}; --renew-ca signs its certificate anew: {_NEEDED}"
-            raise ConstructionTwinError(found)
-        servers = [("broker", self._broker / "server", before.get("hosts"), site.hosts)]
-        if site.consoles:
-            make_folder(self._console)
-            servers.append(("console", self._console / "console", before.get("consoles"), site.consoles))
-        for program, path, former, hosts in servers:
-            certificate = path.with_suffix(".crt")
-            if renew or former != hosts or not certificate.exists():
-                authority.issue(f"construction_twin {program}", path.with_suffix(".key"), certificate, days, hosts)
-                lines.append(f"signed the {program}'s certificate for {', '.join(hosts)}")
-            write_private(path.with_name("ca.crt"), authority.certificate.read_bytes())
-        lines += self._make_passwords(site, authority, replace)
-        if site.certificates:
-            lines += self._make_certificates(site, authority, days, renew, replace)
-        if site.consoles:
-            rights = {"robots": {robot: site.rights(robot) for robot in site.robots}}
-            write_private(self._console / "rights.json", json.dumps(rights, indent=1) + "\n")
-        write_private(self._broker / "access.acl", rules)
-        write_private(self._broker / "mosquitto.conf", configuration)
-        write_private(self._settings, json.dumps(dataclasses.asdict(site), indent=1) + "\n")
-        return lines
+def run_tool(program: str, *arguments: object) -> str:
+    """Run a program; return its output. ConstructionTwinError where it is missing or fails."""
+    found = shutil.which(program)
+    if found is None:
+        raise ConstructionTwinError(f"{program} is not installed; on Debian: apt-get install {_PACKAGES[program]}")
+    done = subprocess.run([found, *map(str, arguments)], capture_output=True, text=True, umask=0o077, check=False)
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        raise ConstructionTwinError(f"{program} {arguments[0]} failed with {done.returncode}: {last}")
+    return done.stdout
 
-    def expiries(self) -> list[str]:
-        """Return a line per certificate with the day of its end."""
-        found = [path for path in sorted(self._folder.rglob("*.crt")) if path.name != "ca.crt"]
-        found.insert(0, self._folder / "ca/ca.crt")
-        return [f"{path.relative_to(self._folder)} expires {expiry(path):%Y-%m-%d}" for path in found]
 
-    def _make_passwords(self, site: Site, authority: Authority, replace: set[str]) -> list[str]:
-        """Give every account that has none a password; accounts that are no longer of the site lose theirs."""
-        path, names = self._broker / "passwords", site.accounts()
-        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-        hashed = {line.partition(":")[0]: line for line in lines}
-        gone = [f"took the password of {name} away: it is not in site.json" for name in hashed if name not in names]
-        new = {name: secrets.token_urlsafe(24) for name in names if name in replace or name not in hashed}
-        hashed |= _hash_passwords(new)
-        for name, password in new.items():
-            folder = self._folder / "accounts" / name
-            make_folder(folder)
-            write_private(folder / "password", password + "\n")
-            write_private(folder / "ca.crt", authority.certificate.read_bytes())
-            document = {"user": name, "password_file": "password", "ca_file": "ca.crt"}
-            write_private(folder / "account.json", json.dumps(document) + "\n")
-        write_private(path, "".join(f"{hashed[name]}\n" for name in names))
-        return [f"made a password for {name}" for name in new] + gone
+# -- certificates
 
-    def _make_certificates(
-        self, site: Site, authority: Authority, days: int, renew: bool, replace: set[str]
-    ) -> list[str]:
-        lines = []
-        for name in site.accounts():
-            folder = self._folder / "accounts" / name
-            certificate, key = folder / "client.crt", folder / "client.key"
-            if name in replace and certificate.exists():
-                lines.append(f"the old certificate of {name} opens the broker until {expiry(certificate):%Y-%m-%d}")
-                key.unlink(missing_ok=True)
-                certificate.unlink()
-            # a folder that was handed out and deleted here is not made again
-            if renew and not folder.exists():
-                lines.append(f"not renewed: {name}, whose folder is not here; --replace makes it a new one")
-            if not folder.exists() or (certificate.exists() and not (renew and key.exists())):
-                continue
-            authority.issue(name, key, certificate, days)
-            document = {"cert_file": "client.crt", "key_file": "client.key", "ca_file": "ca.crt"}
-            write_private(folder / "certificate.json", json.dumps(document) + "\n")
-            lines.append(f"signed a certificate for {name}")
-        return lines
+
+def sign(name: str, path: Path, days: int, extensions: Iterable[str], signer: Iterable[object] = ()) -> None:
+    """Write ``path.crt`` for ``path.key``, which is made where it is missing; without a signer signed by that key itself."""
+    key = path.with_suffix(".key")
+    if not key.exists():
+        write_private(key, run_tool("openssl", "genpkey", "-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:P-256"))
+    options = [option for extension in extensions for option in ("-addext", extension)]
+    # the machine's own configuration would add extensions
+    request = ("req", "-x509", "-config", os.devnull, "-subj", f"/CN={name}", "-key", key, *signer, "-days", days)
+    serial = f"0x{secrets.randbits(126) | 1 << 126:x}"
+    more = ("-set_serial", serial, "-addext", "subjectKeyIdentifier=hash", *options)
+    write_private(path.with_suffix(".crt"), run_tool("openssl", *request, *more))
+
+
+def sign_authority(path: Path, hosts: Iterable[str]) -> None:
+    """Write a CA that vouches for these hosts, names below them and loopback only: tablets trust it."""
+    permitted = sorted({_permitted(host) for host in (*hosts, "localhost", "127.0.0.1", "::1")})
+    sign("construction_twin site", path, CA_DAYS, (*_CA, f"nameConstraints=critical,{','.join(permitted)}"))
+
+
+def sign_server(name: str, path: Path, hosts: Iterable[str], ca: Path) -> None:
+    """Write a server's certificate, and the CA's beside it."""
+    names = f"subjectAltName={','.join(map(_alternative_name, hosts))}"
+    signer = ("-CA", ca.with_suffix(".crt"), "-CAkey", ca.with_suffix(".key"))
+    sign(f"construction_twin {name}", path, DAYS, (*_SERVER, names), signer)
+    write_private(path.with_name("ca.crt"), ca.with_suffix(".crt").read_bytes())
+
+
+def _permitted(host: str) -> str:
+    name = _alternative_name(host)
+    if name.startswith("DNS:"):
+        return f"permitted;{name[:4]}{host.lower()}"
+    return f"permitted;{name}/{ipaddress.ip_network(host).netmask}"
+
+
+def _alternative_name(host: str) -> str:
+    try:
+        return f"IP:{ipaddress.ip_address(host)}"
+    except ValueError:
+        if set(host) <= set("0123456789.") or ":" in host:
+            raise ConfigurationError("--host", host, "a host name, or an address like 192.168.1.10") from None
+        return f"DNS:{host}"
+
+
+# -- a site
+
+
+def load_site(folder: Path) -> dict:
+    """Return the settings of the last run, empty before the first one; ConstructionTwinError when they cannot be read."""
+    path = folder / "site.json"
+    if not path.exists():
+        return {}
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        if unknown := {*document} - {field.name for field in dataclasses.fields(Site)}:
+            raise ValueError(f"it holds {sorted(unknown)}, which no site has")
+        return {key: tuple(value) if isinstance(value, list) else value for key, value in document.items()}
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise ConstructionTwinError(f"{path} cannot be read: {error}; restore it") from error
+
+
+def make_site(folder: Path, site: Site) -> list[str]:
+    """Write the site's files; return sentences on what is new. ConstructionTwinError where a program fails.
+
+    Args:
+        folder: Gets `ca/`, `broker/`, `accounts/<name>/`, `site.json`, and `console/` where the site has one.
+    """
+    rules, configuration = access_rules(site, _template), broker_configuration(site, _template)
+    before, ca, hosts, lines = load_site(folder), folder / "ca/ca", merged(site.hosts, site.consoles), []
+    if before and not ca.with_suffix(".key").exists():
+        raise ConstructionTwinError(f"{ca}.key is missing: put it back, or make the site anew in another folder")
+    for each in (folder, folder / "accounts"):
+        each.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if hosts != merged(before.get("hosts", ()), before.get("consoles", ())) or not ca.with_suffix(".crt").exists():
+        sign_authority(ca, hosts)
+        lines.append(f"{ca}.crt is new, for {', '.join(hosts)} only: every tablet and every client needs it")
+    sign_server("broker", folder / "broker/server", site.hosts, ca)
+    if site.consoles:
+        sign_server("console", folder / "console/console", site.consoles, ca)
+        rights = {"robots": {robot: site.rights(robot) for robot in site.robots}}
+        write_private(folder / "console/rights.json", json.dumps(rights, indent=1) + "\n")
+    lines += _make_accounts(folder, site)
+    for account in (folder / "accounts").iterdir():
+        write_private(account / "ca.crt", ca.with_suffix(".crt").read_bytes())
+    write_private(folder / "broker/access.acl", rules)
+    write_private(folder / "broker/mosquitto.conf", configuration)
+    write_private(folder / "site.json", json.dumps(dataclasses.asdict(site), indent=1) + "\n")
+    return lines
+
+
+def _make_accounts(folder: Path, site: Site) -> list[str]:
+    """Give every account that has none a password; accounts that are no longer of the site lose theirs."""
+    path, names = folder / "broker/passwords", site.accounts()
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    hashed = {line.partition(":")[0]: line for line in lines}
+    gone = [f"took the password of {name} away: it is not in site.json" for name in hashed if name not in names]
+    new = {name: secrets.token_urlsafe(24) for name in names if name not in hashed}
+    hashed |= _hash_passwords(new)
+    for name, password in new.items():
+        account = folder / "accounts" / name
+        write_private(account / "password", password + "\n")
+        document = {"user": name, "password_file": "password", "ca_file": "ca.crt"}
+        write_private(account / "account.json", json.dumps(document) + "\n")
+    write_private(path, "".join(f"{hashed[name]}\n" for name in names))
+    return [f"made a password for {name}" for name in new] + gone
 
 
 def _template(name: str) -> str:
@@ -164,46 +190,33 @@ def _hash_passwords(passwords: dict[str, str]) -> dict[str, str]:
 
 
 def _arguments(argv: list[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="make_site",
-        description="Make a CA, the broker's certificate, accounts and access rules for a site. A second run adds what is new and "
-        "keeps the rest.",
+    description = (
+        "Make a CA, certificates, accounts and access rules of a site's broker. A second run adds what is new."
     )
+    parser = argparse.ArgumentParser(prog="make_site", description=description)
     add = parser.add_argument
     add("folder", type=Path, help="folder of the site; keep it private")
+    person = (
+        "an account for a person or a program, e.g. ada:operate,approve@kr120_1,kr120_2; without @ at every robot; "
+    )
+    person += f"rights: {', '.join(RIGHTS)}; replaces what the name had in a run before"
     for option, metavar, what in (
         ("--host", "HOST", "name or address of the broker, as clients write it"),
         ("--robot", "ROBOT", "a robot"),
-        (
-            "--person",
-            "NAME:RIGHTS[@ROBOTS]",
-            "an account for a person or a program, e.g. ada:operate,approve@kr120_1,kr120_2; without @ at every robot; "
-            f"rights: {', '.join(RIGHTS)}; replaces what the name had in a run before",
-        ),
+        ("--person", "NAME:RIGHTS[@ROBOTS]", person),
         ("--console", "HOST", "name or address of the console, as tablets write it: makes its certificate"),
-        ("--replace", "ACCOUNT", "give this account a new password and key"),
     ):
         add(option, action="append", default=[], metavar=metavar, help=f"{what}; may be repeated")
     add("--plc", action="store_true", help="also an account for a PLC that commands in place of the bridge")
-    add("--certificates", action="store_true", help="also client certificates, on the port above --port")
     add("--port", type=int, help="TLS port [8883]")
     add("--listen", metavar="ADDRESS", help="the broker's own address on which it listens [all of them]")
     add("--prefix", help="first level of the MQTT topics [twin]")
     add("--broker-folder", help="where the broker will find DIR/broker, e.g. /etc/mosquitto/site [DIR/broker]")
-    add("--days", type=int, default=DAYS, help="lifetime of new certificates [%(default)s]")
-    add("--renew", action="store_true", help="sign all certificates anew, for the same keys")
-    add(
-        "--renew-ca",
-        action="store_true",
-        help="sign the CA's certificate anew, for the same key and the site's names of now; then every tablet and client needs it",
-    )
     return parser.parse_args(argv)
 
 
 def _site(asked: argparse.Namespace, before: dict) -> Site:
-    """Return the site of the last run, with what is asked for now; a person's rights in place of those before."""
-    if not 1 <= asked.days <= 36500:
-        raise ConfigurationError("--days", asked.days, "1 to 36500")
+    """Return the site of the last run with what is asked for now; a person's rights in place of those before."""
     named = {read_person(words)[0] for words in asked.person}
     others = [words for words in before.get("persons", ()) if read_person(words)[0] not in named]
     added = {
@@ -213,23 +226,24 @@ def _site(asked: argparse.Namespace, before: dict) -> Site:
         "persons": merged(others, asked.person),
         "folder": asked.broker_folder or before.get("folder") or str(asked.folder.absolute() / "broker"),
     }
-    single = ("plc", "certificates", "port", "listen", "prefix")
+    single = ("plc", "port", "listen", "prefix")
     return Site(**before | added | {name: value for name in single if (value := getattr(asked, name))})
 
 
 def main(argv: list[str] | None = None) -> int:
     """Make or extend a site; return the exit code."""
     asked = _arguments(argv)
-    folder = SiteFolder(asked.folder)
     try:
-        site = _site(asked, folder.load())
-        lines = folder.create_missing(site, asked.days, asked.renew, asked.replace, asked.renew_ca) + folder.expiries()
+        site = _site(asked, load_site(asked.folder))
+        lines = make_site(asked.folder, site)
     except (ConstructionTwinError, OSError) as error:
         print(f"make_site: {command_message(error)}")
         return 1
-    print("\n".join(lines))
+    print("\n".join([*lines, f"the servers' certificates are good for {DAYS} days: run make_site again before"]))
     print(f"broker: {asked.folder / 'broker/mosquitto.conf'} expects its files in {site.folder}")
     print(f"clients: port {site.port}, accounts in {asked.folder / 'accounts'}/<name>/account.json")
-    if site.certificates:
-        print(f"clients with a certificate: port {site.port + 1}, .../certificate.json")
     return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -19,8 +19,7 @@ from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.states import State
 from construction_twin.gateway.stop_file import StopFile
 from construction_twin.mqtt import requests
-from construction_twin.mqtt.client import Broker, make_client, offline_word, subscriptions, unique_id
-from construction_twin.mqtt.failures import ConnectionLog
+from construction_twin.mqtt.client import Broker, ConnectionLog, make_client, offline_word, subscriptions, unique_id
 from construction_twin.mqtt.messages import (
     PROTOCOL,
     VERBS,

@@ -1,10 +1,8 @@
-"""A paho client set up the way this package needs it: MQTT 5, account, TLS, TCP_NODELAY, a last will.
+"""A paho client set up for this package: MQTT 5, account, TLS, TCP_NODELAY, a last will; why it has no connection.
 
-Without TCP_NODELAY, traffic in both directions waits for the peer's delayed acknowledgement, up to 40 ms. An account file holds
-names of files, never a secret; relative names start at its own folder::
+An account file holds names of files, never a secret; relative names start at its own folder::
 
     {"user": "kr120-gateway", "ca_file": "ca.crt", "password_file": "password"}
-    {"ca_file": "ca.crt", "cert_file": "client.crt", "key_file": "client.key"}
 """
 
 from __future__ import annotations
@@ -15,13 +13,16 @@ import secrets
 import socket
 import ssl
 import stat
-from collections.abc import Iterable
+import sys
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from construction_twin.core.errors import ConfigurationError
@@ -34,28 +35,23 @@ _MAX_BYTES = 65536
 
 @dataclass(frozen=True)
 class Account:
-    """An account on a broker: a user with a password, or a client certificate. Empty means none.
+    """An account on a broker; empty: none.
 
     Attributes:
         password_file: The password is its first line; only the owner may read it.
         ca_file: PEM of who signed the broker's certificate; with it the connection is TLS.
-        name: What messages call it: the account file, or the user.
+        name: The account file, for messages.
     """
 
     user: str = ""
     password_file: str = ""
     ca_file: str = ""
-    cert_file: str = ""
-    key_file: str = ""
     name: str = "account"
 
     def __post_init__(self):
-        for one, other in (("user", "password_file"), ("cert_file", "key_file")):
-            if bool(getattr(self, one)) != bool(getattr(self, other)):
-                missing = other if getattr(self, one) else one
-                raise ConfigurationError(f"{self.name}: {missing}", "", f"a value: {one} and {other} belong together")
-        if self.cert_file and not self.ca_file:
-            raise ConfigurationError(f"{self.name}: ca_file", "", "the broker's CA: a client certificate needs TLS")
+        if bool(self.user) != bool(self.password_file):
+            missing = "password_file" if self.user else "user"
+            raise ConfigurationError(f"{self.name}: {missing}", "", "a value: user and password_file belong together")
 
     def password(self) -> str:
         """Return the password; ConfigurationError when it cannot be read, or others can read it too."""
@@ -71,10 +67,13 @@ class Account:
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         # a renegotiation would make reads wait for writes and writes for reads
         context.options |= ssl.OP_NO_RENEGOTIATION
-        _load(self.ca_file, context.load_verify_locations, "PEM certificates of the broker's CA")
-        if self.cert_file:
-            _refuse_shared(self.key_file)
-            _load(self.cert_file, context.load_cert_chain, "a PEM certificate that fits its key", self.key_file)
+        try:
+            context.load_verify_locations(self.ca_file)
+        except ssl.SSLError as error:
+            found = error.reason or str(error)
+            raise ConfigurationError(self.ca_file, found, "PEM certificates of the broker's CA") from error
+        except OSError as error:
+            raise ConfigurationError(self.ca_file, error.strerror, "a file this user may read") from error
         return context
 
 
@@ -120,15 +119,6 @@ def _refuse_shared(path: str) -> None:
         raise ConfigurationError(path, error.strerror, "a file that this user may read") from error
     if mode & 0o077:
         raise ConfigurationError(path, f"mode {mode:04o}", f"a secret that only its owner may read: chmod 600 {path}")
-
-
-def _load(path: str, load, expected: str, *more: str) -> None:
-    try:
-        load(path, *more)
-    except ssl.SSLError as error:
-        raise ConfigurationError(path, error.reason or str(error), expected) from error
-    except OSError as error:
-        raise ConfigurationError(" or ".join((path, *more)), error.strerror, "a file this user may read") from error
 
 
 @dataclass(frozen=True)
@@ -198,8 +188,71 @@ def _without_delay(client: paho.Client, userdata: object, sock: Any) -> None:
 
 
 def subscriptions(topics: Iterable[tuple[str, int]]) -> list[tuple[str, SubscribeOptions]]:
-    """Return topics and their QoS in the form that `client.subscribe` takes, so that a retain flag stays visible.
-
-    Without "retain as published" a broker shows the flag only on what it had stored, not on what is published while we listen.
-    """
+    """Return topics and their QoS for `client.subscribe`, with the retain flag also on what is published meanwhile."""
     return [(topic, SubscribeOptions(qos=qos, retainAsPublished=True)) for topic, qos in topics]
+
+
+class ConnectionLog:
+    """Logs why there is no connection, each sentence once, from the thread that connects or serves the client.
+
+    Args:
+        first: Whether to log why there has never been a connection.
+
+    Attributes:
+        sentence: The newest; "" while connected, and before the first attempt has ended.
+    """
+
+    def __init__(self, broker: Broker, log: Callable[[str], None], first: bool = True):
+        self._log, self._is_logging = log, first
+        self._where, self._user = f"broker {broker.host}:{broker.port}", broker.account.user if broker.account else ""
+        self.sentence = ""
+
+    def watch(self, client: paho.Client) -> None:
+        """Log the failed attempts of a client that paho's own thread serves."""
+
+        def failed(client, userdata) -> None:
+            error = sys.exc_info()[1]
+            if isinstance(error, OSError):
+                self.failed(error)
+
+        client.on_connect_fail = failed
+
+    def connected(self, client: FastClient, properties: Properties | None) -> None:
+        """Clear the sentence; `properties` of the CONNACK limit the packets."""
+        self._is_logging, self.sentence = True, ""
+        client.largest = getattr(properties, "MaximumPacketSize", None)
+        client.on_too_large = self._log
+
+    def failed(self, error: OSError) -> None:
+        """Log an attempt to connect that raised an error, also of TLS or name resolution."""
+        why = getattr(error, "verify_message", "") or error.strerror or str(error) or repr(error)
+        self._log_once(f"{self._where}: {why}")
+
+    def refused(self, reason_code: ReasonCode) -> None:
+        """Log a connection that the broker refused in its CONNACK."""
+        who = f"user {self._user!r}" if self._user else "a client without an account"
+        self._log_once(f"{self._where} refused {who}: {reason_code}")
+
+    def lost(self, reason_code: ReasonCode) -> None:
+        """Log the unwanted end of a connection; why it was refused stays."""
+        if reason_code.is_failure and not self.sentence:
+            self._log_once(f"connection to {self._where} lost: {reason_code}; trying again")
+
+    def watch_publish(self, client: paho.Client, topic: str, mid: int) -> None:
+        """Log when the access rules refuse one message; one only, because a callback for each would slow down commands."""
+
+        def on_publish(client, userdata, answered, reason_code, properties) -> None:
+            if answered != mid:
+                return
+            client.on_publish = None
+            if reason_code.is_failure:
+                who = self._user or "somebody without an account"
+                self._log(f"{self._where} does not let {who} publish on {topic}: {reason_code}")
+
+        client.on_publish = on_publish
+
+    def _log_once(self, sentence: str) -> None:
+        if sentence != self.sentence:
+            self.sentence = sentence
+            if self._is_logging:
+                self._log(sentence)

@@ -17,7 +17,7 @@ from mqtt_packets import connect
 from piped_console import CONNACK_OK, PING, PONG, Browser, browser_at, serving
 
 from construction_twin.broker.access import Site
-from construction_twin.broker.make_site import SiteFolder
+from construction_twin.broker.make_site import make_site
 from construction_twin.extensions.console.pipe import BrokerAddress, PipeLimits
 from construction_twin.extensions.console.server import ServerSettings
 
@@ -30,9 +30,7 @@ running = functools.partial(serving, port=PORT)
 @pytest.fixture(scope="module")
 def site(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("site")
-    SiteFolder(folder).create_missing(
-        Site(hosts=("localhost",), robots=("one",), port=BROKER_PORT, folder=str(folder / "broker"))
-    )
+    make_site(folder, Site(hosts=("localhost",), robots=("one",), port=BROKER_PORT, folder=str(folder / "broker")))
     return folder
 
 

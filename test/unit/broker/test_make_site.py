@@ -1,4 +1,4 @@
-"""make_site: what one run makes, and that the next one replaces only what it is asked to."""
+"""make_site: what one run makes, and that the next one keeps every secret."""
 
 from __future__ import annotations
 
@@ -8,15 +8,13 @@ import shutil
 import ssl
 import stat
 import subprocess
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 
-from construction_twin.broker import certificates
-from construction_twin.broker.certificates import Authority, expiry
+from construction_twin.broker import make_site
 from construction_twin.broker.make_site import main
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.mqtt.client import load_account
 
 ROBOT = ["--robot", "kr120"]
@@ -32,7 +30,7 @@ def make(folder: Path, *arguments: str) -> None:
 def made(tmp_path_factory) -> Path:
     """A site as its first run leaves it."""
     folder = tmp_path_factory.mktemp("made") / "site"
-    make(folder, *HOST, "--host", "192.168.7.10", *ROBOT, *PERSONS, "--certificates")
+    make(folder, *HOST, "--host", "192.168.7.10", *ROBOT, *PERSONS)
     return folder
 
 
@@ -43,16 +41,13 @@ def folder(made, tmp_path) -> Path:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    """Return what stays from run to run: all but the servers' certificates."""
+    files = [path for path in folder.rglob("*") if path.is_file() and path.name not in ("server.crt", "console.crt")]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 def names_of(folder: Path) -> set[str]:
     return {path.name for path in (folder / "accounts").iterdir()}
-
-
-def serial(certificate: Path) -> str:
-    command = ["openssl", "x509", "-in", certificate, "-noout", "-serial"]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
 def test_makes_everything_a_site_needs(folder):
@@ -60,7 +55,7 @@ def test_makes_everything_a_site_needs(folder):
     assert broker == {"mosquitto.conf", "access.acl", "passwords", "ca.crt", "server.crt", "server.key"}
     assert names_of(folder) == {"kr120-bridge", "kr120-gateway", "ada", "vic"}
     assert {path.name for path in (folder / "accounts/kr120-bridge").iterdir()} == {
-        "account.json", "certificate.json", "ca.crt", "client.crt", "client.key", "password"
+        "account.json", "ca.crt", "password"
     }  # fmt: skip
 
 
@@ -73,8 +68,7 @@ def test_every_account_can_be_used_at_once(folder):
     for path in (folder / "accounts").glob("*/*.json"):
         account = load_account(path)
         assert account.context().check_hostname
-        if account.user:
-            assert (account.user, len(account.password()) >= 32) == (path.parent.name, True)
+        assert (account.user, len(account.password()) >= 32) == (path.parent.name, True)
 
 
 def test_no_two_passwords_are_the_same_and_the_broker_gets_none(folder):
@@ -87,19 +81,17 @@ def test_no_two_passwords_are_the_same_and_the_broker_gets_none(folder):
 def test_no_secret_is_on_a_command_line_or_printed(tmp_path, monkeypatch, capsys):
     lines = []
     run = subprocess.run
-    monkeypatch.setattr(
-        certificates.subprocess, "run", lambda command, **o: (lines.append(command), run(command, **o))[1]
-    )
+    monkeypatch.setattr(make_site.subprocess, "run", lambda command, **o: (lines.append(command), run(command, **o))[1])
     make(tmp_path / "site", *HOST, *ROBOT, *PERSONS)
     shown = capsys.readouterr().out + str(lines)
     passwords = [path.read_text().strip() for path in (tmp_path / "site/accounts").glob("*/password")]
     assert lines and len(passwords) == 4 and not any(password in shown for password in passwords)
 
 
-def test_a_second_run_changes_no_secret_and_no_certificate(folder):
-    before = contents(folder)
+def test_a_second_run_changes_no_secret_and_signs_the_servers_certificates_anew(folder):
+    before, signed = contents(folder), (folder / "broker/server.crt").read_bytes()
     make(folder)
-    assert contents(folder) == before
+    assert contents(folder) == before and (folder / "broker/server.crt").read_bytes() != signed
 
 
 def test_a_robot_is_added_and_the_others_keep_what_they_have(folder):
@@ -113,51 +105,36 @@ def test_a_robot_is_added_and_the_others_keep_what_they_have(folder):
     assert set(before["broker/passwords"].splitlines()) < set(after["broker/passwords"].splitlines())
 
 
-def test_a_name_is_added_to_the_broker_s_certificate_but_its_key_stays(folder):
+def test_a_new_name_signs_the_ca_anew_for_the_same_key_and_brings_it_to_every_account(folder, capsys):
     before = contents(folder)
-    make(folder, "--host", "broker-2.example", "--renew-ca")
-    after = contents(folder)
-    changed = {name for name in before if after[name] != before[name]}
-    assert {name for name in changed if not name.endswith("ca.crt")} == {"broker/server.crt", "site.json"}
-    text = subprocess.run(
-        ["openssl", "x509", "-in", folder / "broker/server.crt", "-noout", "-ext", "subjectAltName"],
-        capture_output=True, text=True, check=True,
-    ).stdout  # fmt: skip
-    assert "DNS:broker.example, IP Address:192.168.7.10, DNS:broker-2.example" in text
-
-
-def test_renewing_signs_the_same_keys_anew(folder):
-    before = contents(folder)
-    old = serial(folder / "broker/server.crt")
-    make(folder, "--renew", "--days", "30")
-    after = contents(folder)
-    changed = {name for name in before if after[name] != before[name]}
-    assert changed == {"broker/server.crt", *(f"accounts/{name}/client.crt" for name in names_of(folder))}
-    assert serial(folder / "broker/server.crt") != old
-    left = expiry(folder / "broker/server.crt") - datetime.now(UTC)
-    assert timedelta(days=29, hours=23) < left <= timedelta(days=30)
-
-
-def test_who_lost_a_password_gets_a_new_password_and_key_alone(folder, capsys):
-    before = contents(folder)
-    make(folder, "--replace", "ada")
-    after = contents(folder)
-    changed = {name for name in before if after[name] != before[name]}
-    assert changed == {
-        "broker/passwords", *(f"accounts/ada/{name}" for name in ("password", "client.crt", "client.key"))
-    }  # fmt: skip
-    assert "the old certificate of ada opens the broker until" in capsys.readouterr().out
-
-
-def test_an_account_handed_out_and_deleted_here_keeps_its_password(folder, capsys):
-    hashed = (folder / "broker/passwords").read_text()
-    for path in (folder / "accounts/vic").iterdir():
-        path.unlink()
-    (folder / "accounts/vic").rmdir()
     capsys.readouterr()
-    make(folder, "--renew")
+    make(folder, "--host", "broker-2.example")
+    after = contents(folder)
+    changed = {name for name in before if after[name] != before[name]}
+    assert {name for name in changed if not name.endswith("ca.crt")} == {"site.json"}
+    assert len({after[name] for name in after if name.endswith("ca.crt")}) == 1
+    assert "broker-2.example only: every tablet and every client needs it" in capsys.readouterr().out
+    assert "DNS:broker.example, IP Address:192.168.7.10, DNS:broker-2.example" in alternative_names(
+        folder / "broker/server.crt"
+    )
+    assert verdict(folder, "broker-2.example", "broker.example") == ("", "")
+
+
+def test_a_password_that_is_taken_out_of_the_broker_s_file_is_made_anew_alone(folder):
+    before, passwords = contents(folder), folder / "broker/passwords"
+    kept = [line for line in passwords.read_text().splitlines(keepends=True) if not line.startswith("ada:")]
+    passwords.write_text("".join(kept))
+    make(folder)
+    after = contents(folder)
+    changed = {name for name in before if after[name] != before[name]}
+    assert changed == {"broker/passwords", "accounts/ada/password"}
+
+
+def test_an_account_handed_out_and_deleted_here_keeps_its_password(folder):
+    hashed = (folder / "broker/passwords").read_text()
+    shutil.rmtree(folder / "accounts/vic")
+    make(folder)
     assert (folder / "broker/passwords").read_text() == hashed and "vic" not in names_of(folder)
-    assert capsys.readouterr().out.count("not renewed: vic") == 1
 
 
 def rules_of(folder: Path, name: str) -> str:
@@ -233,37 +210,22 @@ def test_what_is_taken_out_of_the_settings_is_taken_away_and_named(folder, capsy
 # -- the console
 
 
-#: Added to a site that is there, whose CA was made without these names.
-CONSOLE = ["--console", "twin.example", "--console", "192.168.7.20", "--console", "fd00::7", "--renew-ca"]
+def alternative_names(certificate: Path) -> str:
+    command = ["openssl", "x509", "-in", certificate, "-noout", "-ext", "subjectAltName"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
-def test_the_console_gets_a_certificate_for_its_own_names(folder, capsys):
+def test_the_console_gets_a_certificate_for_its_own_names(folder):
     before = contents(folder)
-    make(folder, *CONSOLE)
+    make(folder, "--console", "twin.example", "--console", "192.168.7.20", "--console", "fd00::7")
     changed = {name for name in before if contents(folder)[name] != before[name]}
     assert {name for name in changed if not name.endswith("ca.crt")} == {"site.json"}
-    text = certificates.openssl("x509", "-in", folder / "console/console.crt", "-noout", "-ext", "subjectAltName")
-    assert "DNS:twin.example, IP Address:192.168.7.20, IP Address:FD00:0:0:0:0:0:0:7" in text
+    certificate = folder / "console/console.crt"
+    expected = "DNS:twin.example, IP Address:192.168.7.20, IP Address:FD00:0:0:0:0:0:0:7"
+    assert expected in alternative_names(certificate)
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-    context.load_cert_chain(folder / "console/console.crt", folder / "console/console.key")
-    certificates.openssl(
-        "verify", "-CAfile", folder / "console/ca.crt", "-purpose", "sslserver", folder / "console/console.crt"
-    )
-    assert "console/console.crt expires" in capsys.readouterr().out
-
-
-def test_a_second_run_leaves_the_console_alone_and_a_new_name_signs_it_anew(folder):
-    make(folder, *CONSOLE)
-    before = contents(folder)
-    make(folder)
-    assert contents(folder) == before
-    make(folder, "--console", "hall7.twin.example")
-    after = contents(folder)
-    changed = {name for name in before if after[name] != before[name]}
-    assert changed == {"console/console.crt", "site.json"}
-    make(folder, "--renew")
-    assert contents(folder)["console/console.crt"] != after["console/console.crt"]
-    assert contents(folder)["console/console.key"] == before["console/console.key"]
+    context.load_cert_chain(certificate, folder / "console/console.key")
+    make_site.run_tool("openssl", "verify", "-CAfile", folder / "console/ca.crt", "-purpose", "sslserver", certificate)
 
 
 def test_the_configuration_names_the_folder_on_the_broker(tmp_path):
@@ -281,24 +243,13 @@ def test_the_configuration_names_the_folder_on_the_broker(tmp_path):
     text = (tmp_path / "site/broker/mosquitto.conf").read_text()
     assert "password_file /etc/mosquitto/site/passwords" in text and "\nlistener 9000 10.0.0.1\n" in text
     assert "allow_anonymous false" in text and "set_tcp_nodelay true" in text and "$" not in text
-    assert "listener 9001" not in text and str(tmp_path) not in text
-
-
-def test_the_certificates_chain_up_and_carry_their_purpose(folder):
-    def verify(certificate: str, purpose: str) -> int:
-        command = ["openssl", "verify", "-x509_strict", "-purpose", purpose, "-CAfile", folder / "ca/ca.crt"]
-        return subprocess.run([*command, folder / certificate], capture_output=True, check=False).returncode
-
-    assert verify("broker/server.crt", "sslserver") == verify("accounts/kr120-bridge/client.crt", "sslclient") == 0
-    assert (
-        verify("broker/server.crt", "sslclient") != 0 and verify("accounts/kr120-bridge/client.crt", "sslserver") != 0
-    )
+    assert str(tmp_path) not in text
 
 
 def verdict(folder: Path, host: str, *more: str) -> tuple[str, str]:
     """Have the CA sign for these hosts; return what openssl and Python's ssl say, empty when they believe it for the first."""
     key, certificate = folder / "tried.key", folder / "tried.crt"
-    Authority(folder / "ca", ()).issue("tried", key, certificate, 10, (host, *more))
+    make_site.sign_server("tried", folder / "tried", (host, *more), folder / "ca/ca")
     command = ["openssl", "verify", "-x509_strict", "-purpose", "sslserver", "-CAfile", folder / "ca/ca.crt"]
     kind = "-verify_hostname" if host.strip("0123456789.") and ":" not in host else "-verify_ip"
     done = subprocess.run([*command, kind, host, certificate], capture_output=True, text=True, check=False)
@@ -332,34 +283,6 @@ def test_nobody_believes_the_ca_about_other_names(folder, hosts):
     assert "permitted subtree violation" in openssl and python == "permitted subtree violation"
 
 
-def test_a_ca_that_would_be_believed_about_every_name_is_refused(folder, capsys):
-    ca = folder / "ca"
-    anything = certificates._sign("any", ca / "ca.key", 10, certificates._CA)
-    certificates.write_private(ca / "ca.crt", anything)
-    before = contents(folder)
-    assert main([str(folder)]) == 1 and "may not vouch for" in capsys.readouterr().out
-    assert contents(folder) == before
-
-
-def test_a_name_that_the_ca_may_not_vouch_for_changes_nothing_unless_the_ca_is_renewed(folder, capsys):
-    before = contents(folder)
-    assert main([str(folder), "--host", "new.example"]) == 1
-    assert "may not vouch for new.example; --renew-ca" in capsys.readouterr().out
-    assert contents(folder) == before
-    make(folder, "--host", "new.example", "--renew-ca")
-    assert (
-        "signed the CA's certificate anew, for broker.example, 192.168.7.10, new.example only"
-        in capsys.readouterr().out
-    )
-    assert verdict(folder, "new.example", "broker.example") == ("", "")
-    ca = (folder / "ca/ca.crt").read_bytes()
-    assert all(path.read_bytes() == ca for path in folder.rglob("ca.crt"))
-    assert contents(folder)["ca/ca.key"] == before["ca/ca.key"]
-    # who has a certificate of before is still believed
-    for path in (folder / "accounts").glob("*/client.crt"):
-        certificates.openssl("verify", "-CAfile", folder / "ca/ca.crt", "-purpose", "sslclient", path)
-
-
 @pytest.mark.parametrize(
     "arguments, said",
     [
@@ -368,8 +291,6 @@ def test_a_name_that_the_ca_may_not_vouch_for_changes_nothing_unless_the_ca_is_r
         ([*HOST, "--robot", "a/b"], "a/b"),
         (["--host", "300.1.2.3", *ROBOT], "300.1.2.3"),
         (["--host", "a,b", *ROBOT], "a,b"),
-        ([*HOST, *ROBOT, "--replace", "nobody"], "nobody"),
-        ([*HOST, *ROBOT, "--days", "0"], "--days"),
         ([*HOST, *ROBOT, "--person", "ada:reset_all"], "look, operate, approve, reset"),
         ([*HOST, *ROBOT, "--person", "ada"], "NAME:RIGHTS"),
     ],
@@ -382,16 +303,17 @@ def test_what_cannot_work_is_one_sentence(tmp_path, capsys, arguments, said):
 
 @pytest.mark.parametrize("program, package", [("openssl", "openssl"), ("mosquitto_passwd", "mosquitto")])
 def test_a_program_that_is_missing_is_named(tmp_path, monkeypatch, capsys, program, package):
-    which = certificates.shutil.which
-    monkeypatch.setattr(certificates.shutil, "which", lambda name: None if name == program else which(name))
+    which = make_site.shutil.which
+    monkeypatch.setattr(make_site.shutil, "which", lambda name: None if name == program else which(name))
     assert main([str(tmp_path / "site"), *HOST, *ROBOT]) == 1
     assert f"{program} is not installed; on Debian: apt-get install {package}" in capsys.readouterr().out
 
 
-def test_half_a_ca_is_not_mended_by_making_another(folder):
+def test_a_ca_whose_key_is_gone_is_not_mended_by_making_another(folder, capsys):
     (folder / "ca/ca.key").unlink()
-    with pytest.raises(ConstructionTwinError, match=r"holds only one of ca\.key and ca\.crt"):
-        Authority(folder / "ca", ())
+    before = contents(folder)
+    assert main([str(folder)]) == 1 and "ca.key is missing" in capsys.readouterr().out
+    assert contents(folder) == before
 
 
 def test_settings_that_cannot_be_read_stop_the_run(folder, capsys):
@@ -414,8 +336,7 @@ def account_file(tmp_path: Path, **document) -> Path:
     [
         ({"user": "x"}, "account.json: password_file", "belong together"),
         ({"password_file": "x"}, "account.json: user", "belong together"),
-        ({"ca_file": "ca", "cert_file": "x"}, "account.json: key_file", "belong together"),
-        ({"cert_file": "x", "key_file": "y"}, "account.json: ca_file", "a client certificate needs TLS"),
+        ({"ca_file": "ca", "cert_file": "x"}, "account.json", "a JSON object of"),
         ({"user": "x", "password": "secret"}, "account.json", "a JSON object of"),
         ({"user": 5, "password_file": "x"}, "account.json", "texts as values"),
     ],
@@ -437,7 +358,7 @@ def test_files_that_are_missing_or_not_what_they_should_be_are_named(tmp_path):
     path = account_file(tmp_path, user="x", password_file="pw", ca_file="ca.crt")
     with pytest.raises(ConfigurationError, match="/pw: "):
         load_account(path)
-    certificates.write_private(tmp_path / "pw", "secret\n")
+    make_site.write_private(tmp_path / "pw", "secret\n")
     with pytest.raises(ConfigurationError, match=r"/ca\.crt: "):
         load_account(path)
     (tmp_path / "ca.crt").write_text("no certificate")
@@ -451,17 +372,6 @@ def test_a_secret_that_others_may_read_is_refused(folder, mode):
     Path(account.password_file).chmod(mode)
     with pytest.raises(ConfigurationError, match=f"chmod 600 {account.password_file}"):
         account.password()
-    account = load_account(folder / "accounts/kr120-bridge/certificate.json")
-    Path(account.key_file).chmod(mode)
-    with pytest.raises(ConfigurationError, match=f"chmod 600 {account.key_file}"):
-        account.context()
-
-
-def test_a_key_of_somebody_else_does_not_fit_the_certificate(folder):
-    key = folder / "accounts/kr120-bridge/client.key"
-    key.write_bytes((folder / "accounts/vic/client.key").read_bytes())
-    with pytest.raises(ConfigurationError, match="a PEM certificate that fits its key"):
-        load_account(folder / "accounts/kr120-bridge/certificate.json").context()
 
 
 def test_old_tls_is_not_spoken(folder):

@@ -13,10 +13,9 @@ import pytest
 from processes import BrokerProcess, wait_until
 from site_broker import Listener, SiteBroker
 
-from construction_twin.broker.certificates import Authority, openssl, write_private
+from construction_twin.broker.make_site import run_tool, sign_authority, write_private
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.mqtt.client import Account, Broker, make_client, unique_id
-from construction_twin.mqtt.failures import ConnectionLog, connection_failure
+from construction_twin.mqtt.client import Account, Broker, ConnectionLog, make_client, unique_id
 
 
 @pytest.fixture(scope="module")
@@ -66,10 +65,9 @@ def refusal(broker: Broker) -> str:
 # -- in
 
 
-@pytest.mark.parametrize("kind", ["account", "certificate"])
 @pytest.mark.parametrize("host", ["localhost", "127.0.0.1"])
-def test_an_account_of_the_site_gets_in(site, kind, host):
-    with Attempt(site.broker(site.account("one-gateway", kind), host)) as attempt:
+def test_an_account_of_the_site_gets_in(site, host):
+    with Attempt(site.broker(site.account("one-gateway"), host)) as attempt:
         wait_until(lambda: attempt.welcome, what="the broker's welcome")
         assert attempt.client.socket().version() in ("TLSv1.2", "TLSv1.3")
     assert attempt.said == []
@@ -88,15 +86,15 @@ def test_the_certificates_stand_the_strictest_check(site):
 
 def test_nobody_is_anonymous(site):
     ca_file = site.account("one-gateway").ca_file
-    assert "wants an account" in refusal(site.broker(Account(ca_file=ca_file)))
+    assert "refused a client without an account: Not authorized" in refusal(site.broker(Account(ca_file=ca_file)))
 
 
-def test_a_wrong_password_is_named_with_its_file_and_not_told(site, tmp_path):
+def test_a_wrong_password_is_refused_and_not_told(site, tmp_path):
     path = tmp_path / "password"
     write_private(path, "guessed-secret\n")
     account = replace(site.account("one-gateway"), password_file=str(path))
     sentence = refusal(site.broker(account))
-    assert "'one-gateway'" in sentence and str(path) in sentence and "guessed-secret" not in sentence
+    assert "refused user 'one-gateway'" in sentence and "guessed-secret" not in sentence
 
 
 def test_an_unknown_user_is_refused(site):
@@ -112,73 +110,35 @@ def test_the_password_of_one_account_does_not_open_another(site):
 def test_plain_tcp_is_refused_on_the_tls_port(site):
     with Attempt(Broker(port=site.site.port)) as attempt:
         wait_until(lambda: attempt.said, what="a sentence")
-        assert not attempt.welcome and "does the port speak MQTT 5 without TLS" in attempt.said[0]
+        assert not attempt.welcome and "lost: " in attempt.said[0]
 
 
 def test_a_broker_of_another_ca_is_not_believed(site, tmp_path):
-    Authority(tmp_path / "foreign", ["localhost"])
-    account = replace(site.account("one-gateway"), ca_file=str(tmp_path / "foreign/ca.crt"))
-    assert "not signed by the CA" in refusal(site.broker(account))
+    sign_authority(tmp_path / "foreign", ["localhost"])
+    account = replace(site.account("one-gateway"), ca_file=str(tmp_path / "foreign.crt"))
+    assert "unable to get local issuer certificate" in refusal(site.broker(account))
 
 
 def test_a_broker_by_another_name_is_not_believed(site):
-    assert "is not for '127.1'" in refusal(site.broker(site.account("one-gateway"), "127.1"))
+    assert "Hostname mismatch" in refusal(site.broker(site.account("one-gateway"), "127.1"))
 
 
 def expire(certificate: Path, key: Path, ca: Path) -> None:
     """Sign a certificate anew, for the same key, so that it ended yesterday."""
     extensions = ("-copy_extensions", "copyall")
     request = certificate.with_name("request")
-    request.write_text(openssl("x509", "-x509toreq", "-in", certificate, "-key", key, *extensions))
+    request.write_text(run_tool("openssl", "x509", "-x509toreq", "-in", certificate, "-key", key, *extensions))
     signer = ("-CA", ca / "ca.crt", "-CAkey", ca / "ca.key", "-set_serial", "1")
-    write_private(certificate, openssl("x509", "-req", "-in", request, *extensions, *signer, "-days", "-1"))
-
-
-def signed(site, folder: Path, name: str, authority: Authority) -> Account:
-    """Return an account with a client certificate signed by `authority`."""
-    folder.mkdir()
-    authority.issue(name, folder / "key", folder / "crt", 30)
-    return Account(
-        ca_file=site.account("one-bridge").ca_file, cert_file=str(folder / "crt"), key_file=str(folder / "key")
-    )
-
-
-@pytest.mark.parametrize("own", [False, True], ids=["foreign CA", "expired"])
-def test_a_client_certificate_that_does_not_hold_is_refused(site, tmp_path, own):
-    authority = Authority(site.folder / "ca" if own else tmp_path / "foreign", ["localhost"])
-    account = signed(site, tmp_path / "client", "one-bridge", authority)
-    if own:
-        expire(tmp_path / "client/crt", tmp_path / "client/key", site.folder / "ca")
-    assert "certificate" in refusal(site.broker(account))
-
-
-def test_the_port_for_certificates_takes_no_password(site):
-    broker = Broker("localhost", site.site.port + 1, account=site.account("one-bridge"))
-    assert refusal(broker)
-
-
-def test_a_certificate_for_a_name_without_rules_may_do_nothing(site, tmp_path):
-    account = signed(site, tmp_path / "client", "stranger", Authority(site.folder / "ca", ()))
-    stranger = Listener(site.broker(account), "#", "stranger")
-    viewer = Listener(site.broker(site.account("vic")), "#", "viewer")
-    gateway = Listener(site.broker(site.account("one-gateway")), "#", "gateway")
-    try:
-        assert stranger.publish("twin/one/command", b"x").value == 135
-        gateway.publish("twin/one/status", b"seen")
-        wait_until(lambda: ("twin/one/status", b"seen") in viewer.messages, what="the status")
-        assert stranger.messages == []
-    finally:
-        for listener in (stranger, viewer, gateway):
-            listener.close()
+    write_private(certificate, run_tool("openssl", "x509", "-req", "-in", request, *extensions, *signer, "-days", "-1"))
 
 
 def test_an_expired_broker_is_not_believed(tmp_path):
-    site = SiteBroker(tmp_path / "site", certificates=False)
+    site = SiteBroker(tmp_path / "site")
     server = tmp_path / "site/broker"
     expire(server / "server.crt", server / "server.key", tmp_path / "site/ca")
     site.start()
     try:
-        assert "has expired" in refusal(site.broker(site.account("one-gateway")))
+        assert "certificate has expired" in refusal(site.broker(site.account("one-gateway")))
     finally:
         site.stop()
 
@@ -198,25 +158,11 @@ def test_a_failure_that_repeats_is_said_once_until_it_changes():
     report.connected(make_client(broker, "id", "status"), None)
     assert report.sentence == ""
     report.failed(ConnectionRefusedError(111, "Connection refused"))
-    assert [("nobody listens" in sentence, "no answer" in sentence) for sentence in said] == [
+    assert [("refused" in sentence, "timed out" in sentence) for sentence in said] == [
         (True, False),
         (False, True),
         (True, False),
     ]
-
-
-@pytest.mark.parametrize(
-    "error, said",
-    [
-        (socket.gaierror(-2, "Name or service not known"), "no such host"),
-        (ConnectionResetError(104, "Connection reset by peer"), "hung up"),
-        (OSError(113, "No route to host"), "No route to host"),
-        (ssl.SSLError(1, "[SSL: TLSV1_ALERT_UNKNOWN_CA] tlsv1 alert unknown ca"), "UNKNOWN_CA"),
-    ],
-)
-def test_other_failures_are_one_sentence_with_the_address(error, said):
-    sentence = connection_failure(Broker("broker.example", 8883, account=Account(ca_file="/ca.crt")), error)
-    assert sentence.startswith("broker broker.example:8883: ") and said in sentence and "\n" not in sentence
 
 
 def test_a_program_with_the_account_of_another_role_says_that_it_may_not_publish(site):

@@ -7,8 +7,7 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.reasoncodes import ReasonCode
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.mqtt.client import Account, Broker, make_client, unique_id
-from construction_twin.mqtt.failures import ConnectionLog
+from construction_twin.mqtt.client import Account, Broker, ConnectionLog, make_client, unique_id
 
 ACCOUNT = Account(user="x", password_file="/nowhere/password", name="x.json")
 

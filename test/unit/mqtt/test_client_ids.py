@@ -13,14 +13,13 @@ from pathlib import Path
 
 import pytest
 from paho.mqtt import client as paho
-from processes import ROOT, listens, wait_until
+from processes import ROOT, free_port, listens, wait_until
 from service_cell import CONFIG
-from site_broker import Listener, free_ports
+from site_broker import Listener
 
 from construction_twin.core.udp import bind
 from construction_twin.gateway.service import GatewayService
-from construction_twin.mqtt.client import OFFLINE, Broker, make_client
-from construction_twin.mqtt.failures import ConnectionLog
+from construction_twin.mqtt.client import OFFLINE, Broker, ConnectionLog, make_client
 from construction_twin.mqtt.messages import Topics
 
 ID = "one-bridge-0123456789abcdef"
@@ -169,7 +168,7 @@ class Line:
 @contextlib.contextmanager
 def mosquitto(config: str, log: Path) -> Iterator[int]:
     """Run the broker on loopback with a configuration; its lines go to a file. Gives the port."""
-    port = free_ports()
+    port = free_port()
     file = log.with_suffix(".conf")
     file.write_text(f"{config}\nlistener {port} 127.0.0.1\n")
     with open(log, "wb") as lines:

@@ -149,7 +149,7 @@ def test_finds_the_broker_again_after_its_restart():
 
 
 def test_finds_a_site_s_broker_again_after_its_restart(tmp_path):
-    site = SiteBroker(tmp_path / "site", certificates=False)
+    site = SiteBroker(tmp_path / "site")
     site.start()
     try:
         with loop_of(site.broker(site.account("one-gateway"))) as loop:

@@ -13,8 +13,7 @@ from processes import ROOT, BrokerProcess, wait_until
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.mqtt import fast_client
-from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
-from construction_twin.mqtt.failures import ConnectionLog
+from construction_twin.mqtt.client import Broker, ConnectionLog, make_client, subscriptions, unique_id
 from construction_twin.mqtt.fast_client import DirectClient, FastClient
 
 
@@ -100,9 +99,9 @@ def test_what_is_larger_than_the_broker_takes_is_not_sent_and_said_once_with_bot
 def test_where_somebody_else_says_why_there_never_was_a_connection_only_its_loss_is_said():
     said: list[str] = []
     report = ConnectionLog(Broker(port=1), said.append, first=False)
-    report.failed(ConnectionRefusedError())
-    assert "nobody listens there" in report.sentence and said == []
+    report.failed(ConnectionRefusedError(111, "Connection refused"))
+    assert report.sentence == "broker 127.0.0.1:1: Connection refused" and said == []
     report.connected(FastClient(CallbackAPIVersion.VERSION2), None)
     report.lost(ReasonCode(PacketTypes.DISCONNECT, "Server shutting down"))
-    report.failed(ConnectionRefusedError())
-    assert ["lost" in said[0], "nobody listens there" in said[1]] == [True, True]
+    report.failed(ConnectionRefusedError(111, "Connection refused"))
+    assert ["lost" in said[0], "Connection refused" in said[1]] == [True, True]

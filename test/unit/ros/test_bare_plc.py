@@ -206,7 +206,7 @@ def test_a_plc_that_dies_or_ends_is_offline_by_its_word(cell):
 
 
 def test_with_a_site_s_gateway_account_it_says_its_word_and_its_pose(tmp_path):
-    site = SiteBroker(tmp_path, certificates=False)
+    site = SiteBroker(tmp_path)
     site.start()
     account = site.account("one-gateway")
     command = [sys.executable, str(ROOT / "examples/plc/bare_plc.py"), "--broker", f"localhost:{site.site.port}"]

@@ -270,23 +270,6 @@ def test_a_taken_port_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "lines, words",
-    [
-        ("alow_anonymous true\n", "Unknown configuration variable"),
-        ("listener {port} 127.0.0.1\ncertfile /nowhere/server.crt\nkeyfile /nowhere/server.key\n", "certificate"),
-        ("listener {port} 192.0.2.7\n", "Cannot assign requested address"),
-    ],
-)
-def test_a_broker_that_can_never_start_is_refused_before_anything_starts(tmp_path, lines, words):
-    """roslaunch starts the broker again whenever it ends, so nothing else would end such a launch."""
-    file, port = make_folders(tmp_path) / "broker" / "mosquitto.conf", free_port()
-    file.write_text(lines.format(port=port))
-    values = refused("broker:=true", f"broker_port:={port}", f"accounts:={tmp_path}/accounts")
-    (said,) = [each for each in values if each.startswith("mosquitto.conf: found ")]
-    assert "expected one that mosquitto can start with" in said and words in said
-
-
-@pytest.mark.parametrize(
     "name, text, sentence",
     (
         ("", "", ""),

@@ -9,8 +9,7 @@ import pydantic
 import rospy
 from paho.mqtt.client import MQTTMessage
 
-from construction_twin.mqtt.client import Broker, load_account, subscriptions
-from construction_twin.mqtt.failures import ConnectionLog
+from construction_twin.mqtt.client import Broker, ConnectionLog, load_account, subscriptions
 from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.node_shell import Shared
