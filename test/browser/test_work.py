@@ -11,8 +11,7 @@ from console_page import ConsolePage
 from playwright.sync_api import Locator, expect
 from scripted_robot import ScriptedRobot
 
-from construction_twin.extensions.work.glb import glb
-from construction_twin.extensions.work.loaded_model import ElementFacts
+from construction_twin.extensions.work.loaded_model import ElementFacts, glb
 from construction_twin.kinematics.chain import Pose
 
 #: Of `view` [s]: software draws each.

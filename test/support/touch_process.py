@@ -21,16 +21,7 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work import process
 from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.extensions.work.motions import PAIRS, AttemptFailed, PlanBuilder, Search
-from construction_twin.extensions.work.process import (
-    SHARED,
-    Finite,
-    Length,
-    Override,
-    Process,
-    Recipe,
-    TaskMotions,
-    as_list,
-)
+from construction_twin.extensions.work.process import Finite, Length, Process, Recipe, TaskMotions
 from construction_twin.extensions.work.work_cell import inverse, pose_of
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import product
@@ -131,10 +122,6 @@ def _planned(search: Search, before: np.ndarray, at: Pose, above: Pose, name: st
 PROCESS = Process(
     moves=False,
     recipe=TouchRecipe,
-    overrides={
-        **SHARED,
-        "Point": Override(("points",), "IfcLabel", lambda value: (as_list(value),)),
-    },
     check_recipe=check_recipe,
     mass=lambda job, name, recipe, tool: job.element.mass,
     acts=TOUCH,

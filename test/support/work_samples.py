@@ -122,6 +122,14 @@ def recipes() -> Recipes:
     return read_recipes(RECIPES)
 
 
+def brick_recipe(part: str = "", **changes: object) -> Recipes:
+    """Return the sample's recipe for bricks alone, with changed keys, of a part (`grips`, `stock`, `place`) or its own."""
+    chosen = recipes().recipes["brick"]
+    if part:
+        changes = {part: getattr(chosen, part).model_copy(update=changes)}
+    return replace(recipes(), recipes={"brick": chosen.model_copy(update=changes)})
+
+
 def solver(of: RobotModel | None = None) -> InverseKinematics:
     """Return an inverse kinematics."""
     return inverse_kinematics(Chain(of or robot()), IkSettings(), np.random.default_rng(0), time.monotonic)

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from work_samples import BRICK, CELL, SCENE, building, element, layout, work_cell
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.work_cell import CellFile
 
 RACK = CELL["racks"]["bricks"]
@@ -79,11 +78,6 @@ def test_a_slot_of_a_grid_is_filled_again_when_it_is_empty(tmp_path):
     assert np.allclose(feet(found)[0], feet(found)[2])
 
 
-def test_a_list_has_slots_of_its_own(tmp_path):
-    rack = {"kind": "list", "at": {"xyz": [0, -1.5, 0.6]}, "slots": [{"xyz": [x, 0, 0]} for x in (0.3, 0.0, -0.3)]}
-    assert np.allclose(feet(stock(tmp_path, rack))[:, 0], (0.3, 0, -0.3))
-
-
 def test_a_rack_in_the_models_frame_goes_with_the_model(tmp_path):
     rack = {**RACK, "frame": "model", "at": {"xyz": [0, 0, 0]}}
     assert np.allclose(feet(stock(tmp_path, rack))[0], (0, 1.6, 0.6))
@@ -100,23 +94,6 @@ def test_an_element_without_a_rack_is_one_sentence(tmp_path):
         match=r"/racks for element 'b1' \(b1\), IfcBuildingElementPart: found nothing, expected a rack that holds it$",
     ):
         stock(tmp_path, {**RACK, "holds": {"elements": ["b0", "b2"]}})
-
-
-def test_the_model_says_where_an_element_is_delivered(tmp_path):
-    at = work_cell(tmp_path, {"racks": {"r": {"kind": "delivered", "surface": "rack"}}})
-    said = element("b", properties={"CTwin_RobotTask": {"Delivered": "0.5 -1.5 0.6 0 0 90"}})
-    pose = layout(at, building(said)).stock.slots["b"].base_T_element
-    assert np.allclose(pose.position, (0.5, -1.5, 0.6)) and np.allclose(pose.rotation[:, 0], (0, 1, 0))
-    with pytest.raises(BuildingError, match="element 'b0'.*no CTwin_RobotTask.Delivered"):
-        layout(at, bricks(1))
-    wrong = element("b", properties={"CTwin_RobotTask": {"Delivered": "0.5 -1.5"}})
-    with pytest.raises(BuildingError, match="'0.5 -1.5', expected the text `x y z`"):
-        layout(at, building(wrong))
-
-
-def test_delivered_at_an_offset_from_where_it_is_built(tmp_path):
-    rack = {"kind": "delivered", "offset": {"xyz": [0, -3.0, 0.0]}}
-    assert np.allclose(feet(stock(tmp_path, rack))[1], (0.25, 1.6 - 3.0, 0.6))
 
 
 def test_the_base_may_be_an_element_of_the_model(tmp_path):

@@ -244,7 +244,6 @@ def test_an_element_that_can_never_be_planned_stops_only_what_waits_for_it(tmp_p
         "T3": "waiting",
     }
     assert not any(name.startswith("E2") for name in scene_of(one, Scene()).names)
-    assert [each.word for each in one.built.appearances(one.next(clock())) if each.element == "E2"] == ["todo"]
     decisions.skip(one, "T2", "eva", "stands already")
     assert one.next(clock()) == "T3"
 
@@ -319,29 +318,6 @@ def test_nothing_comes_back_into_a_slot_that_was_filled_again(tmp_path, clock, a
     decisions.redo(one, "T3", "eva", "")
     names = scene_of(one, Scene()).names
     assert "E2/0" in names and "E3/0" not in names
-
-
-def test_people_see_what_comes_next_what_is_there_and_what_is_off(tmp_path, clock):
-    one = board(tmp_path, clock)
-
-    def words(element: str) -> list[str]:
-        return [each.word for each in one.built.appearances(one.next(clock())) if each.element == element]
-
-    assert (words("E1"), words("E2"), words("E3")) == (["next", "stock"], ["todo", "stock"], ["todo"])
-    build(one, "T1", until="gripped")
-    assert words("E1") == ["todo", "carried"]
-    one.ledger.add(Entry("releasing", "T1", "E1"))
-    one.ledger.add(Entry("released", "T1", "E1", pose=pose_tuple(one.built.element("T1").base_T_goal)))
-    assert words("E1") == ["placed"]
-    one.ledger.add(Entry("finished", "T1", "E1"))
-    decisions.record_measured(one, "E1", product(one.built.element("T1").base_T_goal, at(0.05)), "eva", "tape")
-    assert words("E1") == ["off"]
-    there = next(each.pose.position for each in one.built.appearances(one.next(clock())) if each.element == "E1")
-    assert there == pytest.approx(product(one.built.element("T1").base_T_goal, at(0.05)).position), (
-        "it is drawn where it stands"
-    )
-    decisions.skip(one, "T2", "eva", "")
-    assert words("E2") == ["skipped"]
 
 
 def test_what_stands_and_is_no_longer_in_the_model_is_not_tidied_away(tmp_path, clock):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from work_samples import building, element, layout, pairs, planner, recipes, robot, tool, work_cell
+from work_samples import brick_recipe, building, element, layout, pairs, planner, robot, tool, work_cell
 
 from construction_twin.core.units import CYCLE
 from construction_twin.extensions.work.contacts import ShapeDistances
@@ -80,8 +80,7 @@ def test_the_tool_is_switched_where_it_touches_and_asked_while_it_carries(plans)
 def test_a_carry_is_engaged_when_the_recipe_says_so(work):
     scene = work.scene()
     job = work.job_for("brick0", scene)
-    asked = replace(job, element=replace(job.element, properties={"CTwin_RobotTask": {"CarryEngaged": True}}))
-    assert parts(planner().plan(asked, HOME, scene))["carry"].engaged
+    assert parts(planner(brick_recipe(carry_engaged=True)).plan(job, HOME, scene))["carry"].engaged
 
 
 def test_each_scene_follows_from_the_one_before_as_the_scene_node_changes_it(plans, work):
@@ -203,18 +202,14 @@ def test_a_tool_beside_a_neighbour_needs_the_recipes_word(tmp_path):
     job = found.job_for("b1", scene)
     with pytest.raises(TaskPlanningError, match="tool/cups would touch"):
         planner().plan(job, HOME, scene)
-    plan = planner().plan(
-        replace(job, element=replace(job.element, properties={"CTwin_RobotTask": {"Beside": "cups"}})), HOME, scene
-    )
+    plan = planner(brick_recipe("grips", beside=("cups",))).plan(job, HOME, scene)
     cups = scenes(plan)["set down"].get("tool/cups")
     assert {"b0/0", "b2/0"} & set(cups.touch) and "floor" not in cups.touch
     assert scenes(plan)["carry"].get("tool/cups").touch == ("link_6",)
 
 
 def test_a_symmetric_element_may_be_turned_and_stands_as_designed(work, plans):
-    chosen = recipes().recipes["brick"]
-    grips = chosen.grips.model_copy(update={"turns_deg": (180.0,)})
-    turned = replace(recipes(), recipes={"brick": chosen.model_copy(update={"grips": grips})})
+    turned = brick_recipe("grips", turns_deg=(180.0,))
     scene = work.scene()
     plan = planner(turned).plan(work.job_for("brick0", scene), HOME, scene)
     assert "element turned 180 deg" in plan.method
@@ -249,13 +244,14 @@ def test_an_arm_in_contact_is_not_planned_from(work):
 # -- what would fall
 
 
-@pytest.mark.parametrize("properties", [{}, {"CTwin_RobotTask": {"Fastened": True}}])
-def test_an_element_that_nothing_is_under_is_refused_unless_it_is_fastened(tmp_path, properties):
-    above = layout(work_cell(tmp_path), building(element("tile", (0.0, 0.0, 0.25), properties=properties)))
+@pytest.mark.parametrize("fastened", [False, True])
+def test_an_element_that_nothing_is_under_is_refused_unless_it_is_fastened(tmp_path, fastened):
+    above = layout(work_cell(tmp_path), building(element("tile", (0.0, 0.0, 0.25))))
     scene = above.scene()
     job = above.job_for("tile", scene)
-    if properties:
-        assert planner().plan(job, HOME, scene).segments[-1].name == "retreat"
+    if fastened:
+        found = planner(brick_recipe("place", fastened=True)).plan(job, HOME, scene)
+        assert found.segments[-1].name == "retreat"
         return
     with pytest.raises(TaskPlanningError, match="nothing holds tile when the tool lets go") as caught:
         planner().plan(job, HOME, scene)

@@ -63,7 +63,21 @@ def test_a_task_that_is_not_possible_ends_with_another_code_and_its_reason(small
     [
         ("missing.ifc", {}, "missing.ifc"),
         ("one.ifc", {"model_T_base": {"xyz": [1245.0, -1500.0, -400.0]}}, "out of the robot's reach"),
-        ("one.ifc", {"racks": {"none": {"kind": "delivered", "holds": {"ifc_class": ["IfcBeam"]}}}}, "racks"),
+        (
+            "one.ifc",
+            {
+                "racks": {
+                    "none": {
+                        "kind": "stack",
+                        "at": {"xyz": [0, -1.5, 0.6]},
+                        "levels": 1,
+                        "step": 0.1,
+                        "holds": {"ifc_class": ["IfcBeam"]},
+                    }
+                }
+            },
+            "racks",
+        ),
         ("one.ifc", {"unknown": 1}, "unknown"),
     ],
 )

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from construction_twin.extensions.work.convex_bodies import ElementPieces
 from construction_twin.extensions.work.ledger import Ledger, TaskStates
 from construction_twin.extensions.work.loaded_model import ElementFacts, LoadedModel, element_in
 from construction_twin.extensions.work.schedule import Job
-from construction_twin.extensions.work.task_memory import SETTLED, TaskMemory, TaskState
+from construction_twin.extensions.work.task_memory import TaskMemory, TaskState
 from construction_twin.kinematics.batch_kinematics import angles_between
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import quaternion_to_rotation, rotation_to_quaternion
@@ -80,27 +79,9 @@ def scene_change(scene: Scene, wanted: Mapping[str, SceneObject], left_alone: Co
     return SceneChange(put, tuple(name for name in mine if name not in wanted))
 
 
-#: A placed element further than this from where the model has it is shown as off [m], [rad].
+#: Tolerances of a placed element [m], [rad].
 OFF, OFF_ANGLE = 0.005, 0.01
-#: Boxes whose sides are all closer than this are at the same place; boxes that reach further than that into each other overlap [m].
-SAME_PLACE, OVERLAP = 0.02, 0.005
 ORIGIN = Pose(np.zeros(3), np.eye(3))
-
-
-def box_of(bodies: tuple[SceneObject, ...], pose: Pose) -> np.ndarray:
-    """Return the lowest and highest coordinates of an element's pieces at its pose, shape (2, 3)."""
-    points = ElementPieces(bodies).points @ pose.rotation.T + pose.position
-    return np.array([points.min(axis=0), points.max(axis=0)])
-
-
-@dataclass(frozen=True, eq=False)
-class Appearance:
-    """An element as people see it; `word`: a key of `nodes.work.COLOURS`, `pose`: in the base_link, or the tip link if carried."""
-
-    element: str
-    name: str
-    word: str
-    pose: Pose
 
 
 class AsBuilt:
@@ -146,11 +127,6 @@ class AsBuilt:
             self._stored_bodies[key] = self.ledger.saved_bodies(*key) if memory.body else ()
         return self._stored_bodies[key]
 
-    def goal_box(self, task: str) -> np.ndarray:
-        """Return the box of a task's element where the model has it, shape (2, 3)."""
-        facts = self.element(task)
-        return box_of(facts.bodies, facts.base_T_goal)
-
     def stock(self, element: str) -> Pose | None:
         """Return where an element lies before it is taken; None: it has no slot."""
         slot = self.loaded.stock.slots.get(element)
@@ -182,12 +158,6 @@ class AsBuilt:
         if task not in self.states.after or not (memory.placed and memory.base_T_element) or memory.as_planned:
             return None
         return deviation(pose_of_tuple(memory.base_T_element), self.element(task).base_T_goal)
-
-    def is_off(self, element: str) -> bool:
-        """Return whether a placed element stands so far from its place that people are shown it."""
-        task = self.loaded.schedule.placing.get(element)
-        far = None if task is None else self.deviation(task)
-        return far is not None and (far.distance > OFF or far.angle > OFF_ANGLE)
 
     def wanted_scene(self) -> tuple[dict[str, SceneObject], tuple[str, ...]]:
         """Return the work's objects of the scene by name, and the elements whose objects are left as they are."""
@@ -233,20 +203,6 @@ class AsBuilt:
             place(element, bodies or facts.bodies, known, stock, facts.base_T_goal)
         return wanted, tuple(left_alone)
 
-    def counterpart(self, task: str) -> str:
-        """Return the task that is to place what has name, class and place of what one that is no more has placed; empty: none."""
-        memory = self.states.tasks[task]
-        if task in self.states.after or not (memory.placed and memory.body):
-            return ""
-        here = box_of(self.bodies(memory), placed_at(memory, ORIGIN))
-        for element, heir in self.loaded.schedule.placing.items():
-            facts = self.loaded.elements[element]
-            free = self.states.tasks[heir].state in (TaskState.WAITING, TaskState.READY)
-            if free and facts.bodies and (facts.name, facts.ifc_class) == (memory.name, memory.ifc_class):
-                if np.abs(here - self.goal_box(heir)).max() <= SAME_PLACE:
-                    return heir
-        return ""
-
     def forms(self, task: str) -> tuple[tuple[SceneObject, ...], ...]:
         """Return the objects of a task's element as the record can have them: in its stock, in the grip, at its place."""
         facts, memory = self.element(task), self.placing(self.job(task).element)
@@ -258,28 +214,3 @@ class AsBuilt:
             places.append((pose_of_tuple(memory.tool0_T_element), self._tip_link))
         places.append((facts.base_T_goal, ""))
         return tuple(bodies_at(facts.bodies, place, link) for place, link in places)
-
-    def appearances(self, following: str) -> tuple[Appearance, ...]:
-        """Return each element where it is, in stock, and where it is to come; `following`: the task that comes next."""
-        found = []
-        in_stock = self.in_stock()
-        for element in self.elements():
-            facts, memory = self.loaded.elements[element], self.placing(element)
-            mine = [job.id for job in self.loaded.schedule.jobs if job.element == element]
-            states = {self.states.tasks[task].state for task in mine}
-            placed = memory is not None and memory.placed
-            where = placed_at(memory, facts.base_T_goal) if memory is not None and placed else facts.base_T_goal
-            if placed and self.is_off(element):
-                word = "off"
-            elif following in mine:
-                word = "next"
-            elif placed or (TaskState.DONE in states and states <= {*SETTLED}):
-                word = "placed"
-            else:
-                word = "skipped" if states == {TaskState.SKIPPED} else "todo"
-            found.append(Appearance(element, facts.name, word, where))
-            if memory is not None and memory.in_grip:
-                found.append(Appearance(element, facts.name, "carried", pose_of_tuple(memory.tool0_T_element)))
-            elif element in in_stock and (stock := self.stock(element)) is not None:
-                found.append(Appearance(element, facts.name, "stock", stock))
-        return tuple(found)

@@ -2,29 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from construction_twin.core.sentences import Sentence
-from construction_twin.extensions.work.as_built import (
-    ORIGIN,
-    OVERLAP,
-    Deviation,
-    box_of,
-    deviation,
-    placed_at,
-    pose_tuple,
-)
-from construction_twin.extensions.work.ledger import placed_elsewhere, replay
+from construction_twin.extensions.work.as_built import Deviation, deviation, pose_tuple
 from construction_twin.extensions.work.task_board import FROM_MODEL, PROPOSED, TaskBoard, WorkRefused, removed_command
 from construction_twin.extensions.work.task_memory import (
     ACCEPTED,
-    ANSWERS_FOR_ALL,
     ANSWERS_OF_FORMER,
     NOT_IN_MODEL,
-    PLANNED,
-    SAME,
     SETTLED,
     Entry,
     TaskMemory,
@@ -38,7 +24,6 @@ _MEANINGS = {
     "in_grip": Sentence("it is in the grip, as it was taken"),
     "placed": Sentence("it stands at its place, and the grip is empty"),
     "gone": Sentence("it is none of these: it was taken away; it waits until it is skipped or done again"),
-    SAME: Sentence("it is the one that stands there: it counts as placed"),
     "stands": Sentence("it stands there: an obstacle until a person says that it was taken away"),
     "taken_away": Sentence("it was taken away: it is no obstacle any more"),
     "done": Sentence("it was done"),
@@ -135,69 +120,9 @@ def answer(board: TaskBoard, task: str, answer: str, person: str, reason: str, s
         _require_free_slot(board, task)
     name, meaning = board.built.element(task).name, _MEANINGS[answer]
     sentence = Sentence("{task}: {element}: {answer}", task=board.title(task), element=name, answer=meaning)
-    if answer == SAME:
-        _identify_with(board, task, board.built.counterpart(task), person, reason)
-    else:
-        said, seen = ANSWERS_OF_FORMER.get(answer, answer), NOT_IN_MODEL if answer in ANSWERS_OF_FORMER else ""
-        board.add(Entry("answered", task, answer=said, person=person, reason=reason, seen=seen))
+    said, seen = ANSWERS_OF_FORMER.get(answer, answer), NOT_IN_MODEL if answer in ANSWERS_OF_FORMER else ""
+    board.add(Entry("answered", task, answer=said, person=person, reason=reason, seen=seen))
     return sentence
-
-
-def answer_all(board: TaskBoard, choice: str, person: str, reason: str) -> str:
-    """Answer all questions about what was placed."""
-    _require_person(person)
-    if choice not in ANSWERS_FOR_ALL:
-        answers = ", ".join(ANSWERS_FOR_ALL)
-        raise WorkRefused(f"{choice!r} is answered for one task at a time; for all at once only {answers}")
-    count = 0
-    for task in board.states.asking:
-        # each is looked at when it is its turn: what was answered before may have taken its counterpart
-        if board.states.tasks[task].placed and choice in board.answers(task):
-            answer(board, task, choice, person, reason)
-            count += 1
-    meaning, left = _MEANINGS[choice], len(board.states.asking)
-    return Sentence("{count} answered ({answer}), {left} still ask", count=count, answer=meaning, left=left)
-
-
-def _identify_with(board: TaskBoard, task: str, heir: str, person: str, reason: str) -> None:
-    memory, facts = board.states.tasks[task], board.built.element(heir)
-    entry = replace(placed_elsewhere("same", heir, memory, reason), seen=board.loaded.model_elements[heir].digest)
-    body, goal = board.ledger.save_bodies(facts.bodies), pose_tuple(facts.base_T_goal)
-    if body != memory.body:
-        # its frame may be another one: where it stands is known as well as places are compared
-        entry = replace(entry, pose=goal, source=PLANNED, body=body, goal=goal)
-    board.ledger.add(replace(entry, element=board.element_of(heir), person=person))
-
-
-def ask_about_other_ledgers(board: TaskBoard) -> None:
-    """Ask about elements that other ledgers of the folder have placed of this model, or at a place of it."""
-    for path in sorted(board.ledger.path.parent.glob("*.jsonl")):
-        if path == board.ledger.path:
-            continue
-        states = replay(path, {})
-        mine = board.robot == states.robot or (not states.robot and path.name.startswith(f"{board.robot}_"))
-        for memory in states.tasks.values():
-            source = f"{path.name} {memory.task} {memory.settled_ns}"
-            if memory.placed and source not in board.states.found:
-                _ask_about_found(board, memory if mine else replace(memory, base_T_element=(), goal=()), mine, source)
-
-
-def _ask_about_found(board: TaskBoard, memory: TaskMemory, mine: bool, source: str) -> None:
-    states, task = board.states, board.loaded.schedule.placing.get(memory.element, "")
-    if any(each.element == memory.element and each.touched for each in states.tasks.values()):
-        return
-    if not task:
-        if not (mine and memory.body):
-            return
-        low, high = box_of(board.built.bodies(memory), placed_at(memory, ORIGIN))
-        placing = board.loaded.schedule.placing.values()
-        boxes = (board.built.goal_box(one) for one in placing if board.built.element(one).bodies)
-        if not any((np.minimum(high, box[1]) - np.maximum(low, box[0]) > OVERLAP).all() for box in boxes):
-            return
-        task = memory.element
-    elif states.tasks[task].state not in (TaskState.WAITING, TaskState.READY):
-        return
-    board.ledger.add(replace(placed_elsewhere("found", task, memory, source=source), former=""))
 
 
 def record_measured(board: TaskBoard, element: str, pose: Pose, person: str, reason: str) -> Deviation:

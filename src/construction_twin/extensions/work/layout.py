@@ -12,11 +12,10 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work.building import BuildingModel, Element
 from construction_twin.extensions.work.contacts import ShapeDistances
 from construction_twin.extensions.work.convex_bodies import ElementPieces
-from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.process import WorkJob
 from construction_twin.extensions.work.schedule import Job
 from construction_twin.extensions.work.wholes import comes_after
-from construction_twin.extensions.work.work_cell import DeliveredRack, LyingRack, StackRack, WorkCell, inverse, pose_of
+from construction_twin.extensions.work.work_cell import Rack, StackRack, WorkCell, inverse, pose_of
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_rotation
 from construction_twin.scene.objects import Scene, SceneObject, product, tool_objects
@@ -82,15 +81,13 @@ def plan_stock(
     slots: dict[str, Slot] = {}
     for name, elements in members.items():
         rack, where = work_cell.file.racks[name], f"{work_cell.path}/racks/{name}"
-        poses = [] if isinstance(rack, DeliveredRack) else rack.poses
         if rack.order == "file":
             place = {element: number for number, element in enumerate(building.elements)}
             elements = sorted(elements, key=lambda element: place[element.id])
+        poses, base_T_rack = rack.poses, pose_of(rack.at)
+        if rack.frame == "model":
+            base_T_rack = product(base_T_model, base_T_rack)
         for number, element in enumerate(elements):
-            if isinstance(rack, DeliveredRack):
-                pose = _delivered(rack, element, base_T_model, building.file, where)
-                slots[element.id] = Slot(element.id, name, number, 0, pose, rack.surface)
-                continue
             load, at = divmod(number, len(poses))
             if load and not rack.refill:
                 found = f"{len(poses)} slots for {len(elements)} elements, none for {element.name!r} ({element.id})"
@@ -98,7 +95,6 @@ def plan_stock(
             # of a stack what is needed first lies on top
             top = min(len(poses), len(elements) - load * len(poses)) - 1
             rack_T_slot = poses[top - at if name in stacks else at]
-            base_T_rack = product(base_T_model, pose_of(rack.at)) if rack.frame == "model" else pose_of(rack.at)
             pose = _lying(rack, element, product(base_T_rack, rack_T_slot), corners[element.id])
             slots[element.id] = Slot(element.id, name, at, load, pose, rack.surface)
     return StockPlan({element: slots[element] for element in order}, stacks)
@@ -112,7 +108,7 @@ def _rack_of(work_cell: WorkCell, element: Element) -> str:
     raise ConfigurationError(where, None, "a rack that holds it")
 
 
-def _lying(rack: LyingRack, element: Element, base_T_slot: Pose, corners: np.ndarray) -> Pose:
+def _lying(rack: Rack, element: Element, base_T_slot: Pose, corners: np.ndarray) -> Pose:
     """Return the element's pose with the middle of the underside of its box in the slot."""
     turn = rpy_to_rotation(rack.rpy_deg)
     slot_R_element = turn @ element.model_T_element.rotation if rack.lies == "as_built" else turn
@@ -120,28 +116,6 @@ def _lying(rack: LyingRack, element: Element, base_T_slot: Pose, corners: np.nda
     low, high = corners.min(axis=0), corners.max(axis=0)
     foot = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
     return product(base_T_slot, Pose(-foot, slot_R_element))
-
-
-def _delivered(rack: DeliveredRack, element: Element, base_T_model: Pose, file: str, where: str) -> Pose:
-    """Return where the model, or the rack's offset, has an element delivered."""
-    group, _, name = rack.property.partition(".")
-    value = element.properties.get(group, {}).get(name)
-    about = f"element {element.name!r} ({element.id})"
-    if value is None:
-        if rack.offset is None:
-            expected = f"where it is delivered, as {where} asks; or give that rack an offset"
-            raise BuildingError(file, about, f"no {rack.property}", expected)
-        offset, built = pose_of(rack.offset), element.model_T_element
-        return product(base_T_model, Pose(built.position + offset.position, offset.rotation @ built.rotation))
-    try:
-        numbers = [float(word) for word in str(value).split()]
-    except ValueError:
-        numbers = []
-    if len(numbers) not in (3, 6) or not np.isfinite(numbers).all():
-        expected = "the text `x y z` or `x y z roll pitch yaw` in m and deg"
-        raise BuildingError(file, f"{about}, {rack.property}", repr(value), expected)
-    pose = Pose(np.array(numbers[:3]), rpy_to_rotation(numbers[3:] or (0.0, 0.0, 0.0)))
-    return product(base_T_model, pose) if rack.frame == "model" else pose
 
 
 #: Elements at a pose whose objects are kept.

@@ -58,7 +58,6 @@ class TaskStates:
         tasks: In that order; behind them those of former schedules.
         accepted: Digest of the schedule that a person has accepted.
         model, cell: SHA-256 and path, of the last ones.
-        found: `Entry.source` of what other ledgers say was placed.
     """
 
     after: Mapping[str, tuple[str, ...]]
@@ -66,8 +65,6 @@ class TaskStates:
     accepted: str = ""
     model: str = ""
     cell: str = ""
-    robot: str = ""
-    found: frozenset[str] = frozenset()
 
     def with_entry(self, entry: Entry) -> TaskStates:
         """Return the states after one more event.
@@ -78,7 +75,7 @@ class TaskStates:
         if entry.event == ACCEPTED:
             return replace(self, accepted=entry.schedule)
         if entry.event in (OPENED, CHANGED):
-            return replace(self, model=entry.model, cell=entry.cell, robot=entry.robot or self.robot)
+            return replace(self, model=entry.model, cell=entry.cell)
         if entry.event in OF_NO_TASK:
             return self
         before = self.tasks.get(entry.task, TaskMemory(entry.task))
@@ -96,8 +93,7 @@ class TaskStates:
         if entry.former or memory.state is TaskState.READY or (memory.state in SETTLED) != (before.state in SETTLED):
             # only then somebody waits who did not, or waits no longer
             tasks = _settled(self.after, tasks)
-        found = self.found | {entry.source} if entry.event == TaskEvent.FOUND.value else self.found
-        return replace(self, tasks=tasks, found=found)
+        return replace(self, tasks=tasks)
 
     # -- what is known
 
@@ -196,10 +192,9 @@ class TaskStates:
         return found
 
 
-def placed_elsewhere(event: str, task: str, memory: TaskMemory, reason: str = "", source: str = "") -> Entry:
+def placed_elsewhere(event: str, task: str, memory: TaskMemory, reason: str) -> Entry:
     """Return the event by which a task takes over an element of another one."""
-    if event == TaskEvent.SAME.value and memory.as_planned:
-        source = PLANNED
+    source = PLANNED if event == TaskEvent.SAME.value and memory.as_planned else ""
     return Entry(
         event, task, memory.element, pose=memory.base_T_element, name=memory.name, ifc_class=memory.ifc_class,
         body=memory.body, goal=memory.goal, seen=memory.seen, former=memory.task, reason=reason, source=source,

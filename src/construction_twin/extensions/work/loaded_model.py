@@ -16,6 +16,7 @@ from construction_twin.extensions.work.ledger import ModelElement, bodies_digest
 from construction_twin.extensions.work.names import labels
 from construction_twin.extensions.work.schedule import Schedule
 from construction_twin.kinematics.chain import Pose
+from construction_twin.robot.frames import rpy_to_rotation
 from construction_twin.robot.tool import Tool
 from construction_twin.scene.objects import SceneObject
 
@@ -112,6 +113,29 @@ class LoadedModel:
     def removals(self) -> dict[str, str]:
         """The element that each removal takes down."""
         return {job.id: job.element for job in self.schedule.removals}
+
+
+def glb(elements: Mapping[str, ElementFacts], model_hash: str) -> bytes:
+    """Return the elements as binary glTF for the console's page: a node each, y up."""
+    # slow to import
+    import trimesh
+    from trimesh.exchange.gltf import export_glb
+
+    scene, upright = trimesh.Scene(), np.eye(4)
+    upright[:3, :3] = rpy_to_rotation((-90.0, 0.0, 0.0))
+    for name, facts in elements.items():
+        if not len(facts.triangles):
+            continue
+        base_T_goal, corners = np.eye(4), facts.triangles.reshape(-1, 3)
+        base_T_goal[:3] = np.column_stack((facts.base_T_goal.rotation, facts.base_T_goal.position))
+        mesh = trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3))
+        extras = {"element": name, "label": facts.name}
+        scene.add_geometry(mesh, node_name=name, transform=upright @ base_T_goal, metadata=extras)
+
+    def add_hash(document: dict) -> None:
+        document["asset"]["extras"] = {"model_hash": model_hash}
+
+    return bytes(export_glb(scene, include_normals=False, tree_postprocessor=add_hash))
 
 
 def _model_element(element: str, facts: ElementFacts) -> ModelElement:

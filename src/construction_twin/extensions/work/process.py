@@ -1,12 +1,11 @@
 """A process, such as `place`: what is asked of it; and the recipes, by which tasks are carried out. Metres, seconds.
 
 A process is one folder beside this module, of which a module has `PROCESS`. Recipes stand in a file
-(config/work/recipes.yaml); the building model overrides single keys.
+(config/work/recipes.yaml); the building model can name one.
 """
 
 from __future__ import annotations
 
-import difflib
 import fnmatch
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -19,7 +18,7 @@ import numpy as np
 import pydantic
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.validation import configuration_error, wrong_value
+from construction_twin.core.validation import configuration_error
 from construction_twin.extensions.work.building import Element, Task, Value
 from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.kinematics.chain import Pose
@@ -101,29 +100,6 @@ class Recipe(Strict):
     penetration: Annotated[float, pydantic.Field(ge=0.0, le=0.02)] = 0.0005
 
 
-def as_list(value: Value) -> Any:
-    """Return a text as numbers, or as words when one is none; any other value as it is."""
-    if not isinstance(value, str):
-        return value
-    try:
-        return tuple(map(float, value.split()))
-    except ValueError:
-        return tuple(value.split())
-
-
-@dataclass(frozen=True)
-class Override:
-    """A property in the model that replaces a key of the recipe."""
-
-    key: tuple[str, ...]
-    ifc_type: str
-    read: Callable[[Value], Any] = as_list
-
-
-#: What every process lets the model override.
-SHARED: Mapping[str, Override] = {"Speed": Override(("speed",), "IfcReal")}
-
-
 @dataclass(frozen=True, eq=False)
 class WorkJob:
     """What is to be done with one element.
@@ -190,7 +166,6 @@ class Process:
 
     Attributes:
         moves: It takes the element from its stock to its place; else a person is asked whether the task was carried out.
-        overrides: By property of an element in the model.
         check_recipe: Takes a recipe, the tool, and file and name of the recipe; raises ConfigurationError.
         mass: Takes a job, name of its recipe, the recipe and the tool [kg]; None: unknown. Raises TaskPlanningError.
         acts: Name of the segment at whose end it acts.
@@ -199,7 +174,6 @@ class Process:
 
     moves: bool
     recipe: type[Recipe]
-    overrides: Mapping[str, Override]
     check_recipe: Callable[[Any, Tool, str], None]
     mass: Callable[[WorkJob, str, Any, Tool], float | None]
     acts: str
@@ -220,11 +194,6 @@ def process_of(name: str) -> Process:
 
 # -- the recipes of a file
 
-#: Its property that racks of the kind `delivered` read.
-DELIVERED = "Delivered"
-
-_TYPES: dict[str, Any] = {"IfcLabel": str, "IfcInteger": int, "IfcReal": (int, float), "IfcBoolean": bool}
-
 
 @dataclass(frozen=True)
 class Recipes:
@@ -234,21 +203,15 @@ class Recipes:
     recipes: Mapping[str, Recipe]
 
     def of(self, job: WorkJob) -> tuple[str, Recipe]:
-        """Return the name of the recipe for a job, and it with the overrides of the model.
+        """Return name and recipe for a job: the one that its task or element names, else the first that fits.
 
         Raises:
-            TaskPlanningError: If no recipe fits, or a property of `PROPERTY_SET` is wrong.
+            TaskPlanningError: If none fits, or `PROPERTY_SET` has anything but the name of one.
         """
-        own = {name: value for name, value in job.element.properties.get(PROPERTY_SET, {}).items() if name != "id"}
-        of_task = self._named(job, job.task_properties)
-        name = of_task or self._named(job, own) or self._first(job)
-        recipe = self.recipes[name]
-        if of_task:
-            # what the element says to the process of another task is not for this one
-            others = {key for each in self.recipes.values() for key in process_of(each.process).overrides}
-            others -= process_of(recipe.process).overrides.keys()
-            own = {key: value for key, value in own.items() if key not in others}
-        return name, self._overridden(job, recipe, {**own, **job.task_properties})
+        own = job.element.properties.get(PROPERTY_SET, {})
+        of_task, of_element = self._named(job, job.task_properties), self._named(job, own)
+        name = of_task or of_element or self._first(job)
+        return name, self.recipes[name]
 
     def process(self, element: Element, task: Task | None = None) -> str:
         """Return the process of an element or a task; `DEFAULT` where the recipe is wrong, which planning tells."""
@@ -263,12 +226,13 @@ class Recipes:
             process_of(recipe.process).check_recipe(recipe, tool, f"{self.file}/recipes/{name}")
 
     def _named(self, job: WorkJob, own: Mapping[str, Value]) -> str:
+        for other, value in own.items():
+            if other not in (RECIPE, "id") and value is not None:
+                raise _wrong(job, other, value, f"no property but {RECIPE}: what it says stands in a recipe")
         name = own.get(RECIPE)
-        if name is None:
-            return ""
-        if name not in self.recipes:
+        if name is not None and name not in self.recipes:
             raise _wrong(job, RECIPE, name, f"one of {', '.join(self.recipes)} in {self.file}")
-        return str(name)
+        return str(name or "")
 
     def _first(self, job: WorkJob) -> str:
         element = job.element
@@ -278,31 +242,6 @@ class Recipes:
         kind = f"{element.ifc_class} {element.type_name!r}" if element.type_name else element.ifc_class
         to_do = f"add one, or name one in {PROPERTY_SET}"
         raise TaskPlanningError(job.task, f"no recipe of {self.file} fits {job.label}, {kind}; {to_do}")
-
-    def _overridden(self, job: WorkJob, recipe: Recipe, own: Mapping[str, Value]) -> Recipe:
-        overrides = process_of(recipe.process).overrides
-        for name, value in own.items():
-            if name in (RECIPE, DELIVERED) or value is None:
-                continue
-            if name not in overrides:
-                near = difflib.get_close_matches(name, [*overrides, RECIPE, DELIVERED], n=1)
-                known = f"no such property; did you mean {near[0]}?" if near else "no such property"
-                raise _wrong(job, name, value, known)
-            override = overrides[name]
-            is_bool = override.ifc_type == "IfcBoolean"
-            if isinstance(value, bool) != is_bool or not isinstance(value, _TYPES[override.ifc_type]):
-                raise _wrong(job, name, value, override.ifc_type)
-            document = recipe.model_dump()
-            inner = document
-            for key in override.key[:-1]:
-                inner = inner[key]
-            inner[override.key[-1]] = override.read(value)
-            try:
-                recipe = type(recipe).model_validate(document)
-            except pydantic.ValidationError as error:
-                wrong = wrong_value(error, type(recipe).model_json_schema())
-                raise _wrong(job, name, value, f"{wrong.expected} ({override.ifc_type})") from error
-        return recipe
 
 
 class _File(Strict):

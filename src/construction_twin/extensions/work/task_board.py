@@ -22,7 +22,6 @@ from construction_twin.extensions.work.names import labels, with_names
 from construction_twin.extensions.work.task_memory import (
     ANSWERS_OF_FORMER,
     PLANNABLE,
-    SAME,
     SETTLED,
     UNDER_WAY,
     Entry,
@@ -260,13 +259,10 @@ class TaskBoard:
         memory = self.states.tasks[task]
         if task in self.states.after or memory.state is not TaskState.ASKS:
             return memory.question(self.built.element(task).name)
-        first = self.answers(task)[0]
         asked = Sentence(
-            "is the {element} of the model the one that stands there? It has another id, but the same name, class and place"
-            if first == SAME
-            else "was {element} taken out of the grip and away? The model does not have it"
-            if first == "taken_away"
-            else "does {element} still stand? The model does not have it",
+            "does {element} still stand? The model does not have it"
+            if memory.placed
+            else "was {element} taken out of the grip and away? The model does not have it",
             element=self.built.element(task).name,
         )
         return Sentence("{question}. The last that is known of it: {known}", question=asked, known=memory.known)
@@ -276,9 +272,7 @@ class TaskBoard:
         memory = self.states.tasks[task]
         if task in self.states.after or memory.state is not TaskState.ASKS:
             return memory.possible_answers()
-        if not memory.placed:
-            return ("taken_away",)
-        return (*((SAME,) if self.built.counterpart(task) else ()), *ANSWERS_OF_FORMER)
+        return tuple(ANSWERS_OF_FORMER) if memory.placed else ("taken_away",)
 
     def _missing_titles(self, task: str) -> str:
         return ", ".join(map(self.title, self.states.missing(task)))

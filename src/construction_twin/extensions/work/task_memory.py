@@ -136,7 +136,7 @@ TABLE: tuple[Row, ...] = (
     *_rows((_S.WAITING, _S.READY, _S.SKIPPED), _E.REMOVED, _S.DONE, "gone"),
     # of what was placed: a person has taken it away
     *_rows(_S.DONE, _E.REMOVED, _S.HELD, "gone"),
-    # another task, of a former model or in another ledger, has placed it, or has placed what a person says is the same
+    # a task of a former model has placed it
     *_rows((_S.WAITING, _S.READY), _E.FOUND, _S.ASKS, "placed"),
     *_rows((_S.WAITING, _S.READY), _E.SAME, _S.DONE, "placed"),
     # a person says that the element is back in its stock; of what was taken down, that it stands
@@ -178,13 +178,11 @@ CHANGES: Mapping[str, Callable[[TaskMemory, Entry], dict[str, Any]]] = {
     },
 }  # fmt: skip
 
-#: What a person can answer; the same of a task whose process leaves the element where it stands; of what no task of the schedule
-#: places any more, with its word in the ledger, and `SAME` where the model has a counterpart; for all that was placed at once.
+#: What a person can answer; of a task whose process leaves the element where it stands; of what no task of the schedule places any
+#: more, with its word in the ledger.
 ANSWERS = ("in_stock", "in_grip", "placed", "gone")
 ANSWERS_OF_STAYING = ("done", "not_done")
 ANSWERS_OF_FORMER = {"stands": "placed", "taken_away": "gone"}
-SAME = "same"
-ANSWERS_FOR_ALL = (SAME, "stands", "placed")
 
 #: Events that are about no task.
 OPENED, ACCEPTED, MENDED, CHANGED = "opened", "accept_schedule", "mended", "changed"
@@ -223,7 +221,7 @@ class Entry:
         body: Digest of the element's pieces (`Ledger.save_bodies`), by which it stands without its model.
         seen: `ModelElement.digest` when it was handled; `NOT_IN_MODEL`.
         former: Of `same`, `found` and `unknown`: the task that handled the element before.
-        source: Of `released` and `same`: `MEASURED` or `PLANNED`. Of `found`: "<ledger> <task> <time>".
+        source: Of `released` and `same`: `MEASURED` or `PLANNED`.
         offer: Stands in the plan's `source`, by which a plan without known id is found.
         grip: `TaskMotions.method`.
         process: Of `offered`; empty: `process.DEFAULT`.
@@ -301,7 +299,6 @@ class TaskMemory:
     Attributes:
         before: The state that a question is about.
         grip: Stays with the element.
-        source: The other ledger by which it was placed; empty: this one.
         gone: Neither in stock nor placed; of a task that is done: taken down.
         tool0_T_element, base_T_element: Length 7 or 0: position [m], quaternion x, y, z, w. How it is held, or will be; where it
             stands as built. Empty: unknown.
@@ -332,7 +329,6 @@ class TaskMemory:
     body: str = ""
     goal: tuple[float, ...] = ()
     seen: str = ""
-    source: str = ""
 
     @property
     def stays(self) -> bool:
@@ -354,8 +350,6 @@ class TaskMemory:
             raise NotNow(self.task, self.state, TaskEvent(entry.event))
         changed = {"before": row.state, "state": row.target or self.state, **CHANGES[row.change](self, entry)}
         changed |= {name: value for name in _ELEMENT if (value := getattr(entry, name))}
-        if row.event is TaskEvent.FOUND:
-            changed["source"] = entry.source.split(" ")[0]
         if row.event in (TaskEvent.RELEASED, TaskEvent.MEASURED, TaskEvent.SAME):
             changed["as_planned"] = entry.source == PLANNED
         if row.event is TaskEvent.OFFERED:
@@ -401,8 +395,6 @@ class TaskMemory:
     @property
     def known(self) -> str:
         """What is known last of a task that asks: of where its element is, or of what was done with it."""
-        if self.source and not self.stays:
-            return Sentence("the ledger {ledger} in the same folder says that it was placed", ledger=self.source)
         before = self.before
         if before in (TaskState.WAITING, TaskState.READY) and not self.stays:
             # the state says as little of an element that waits as of one that is ready; unless another task has placed it

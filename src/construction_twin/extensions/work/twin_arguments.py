@@ -31,8 +31,7 @@ def add_steps(work: argparse.ArgumentParser, common: argparse.ArgumentParser) ->
     answer.add_argument(
         "answer",
         metavar="ANSWER",
-        help="in_stock, in_grip, placed, gone, done, not_done, same, stands or taken_away: one of those that `show` lists; "
-        "with `all` in place of TASK, which is all that was placed and asks: same, stands or placed",
+        help="in_stock, in_grip, placed, gone, done, not_done, stands or taken_away: one of those that `show` lists",
     )
     _add_person(answer)
     _add_person(step("accept", "accept the schedule that was proposed from the geometry"))

@@ -12,15 +12,7 @@ import pydantic
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.validation import configuration_error
 from construction_twin.extensions.work.building import BuildingModel, Element
-from construction_twin.extensions.work.process import (
-    DELIVERED,
-    PROPERTY_SET,
-    Finite,
-    Match,
-    Recipes,
-    Strict,
-    read_recipes,
-)
+from construction_twin.extensions.work.process import Finite, Match, Recipes, Strict, read_recipes
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_rotation
 from construction_twin.robot.tool import FilePose, ToolFile, read_tool
@@ -34,22 +26,19 @@ _RackName = Annotated[str, pydantic.Field(pattern=r"^[a-z][a-z0-9_]*$", max_leng
 
 
 class _Rack(Strict):
+    """Racks with slots, `poses` in the rack's frame: where the middle of the underside of an element's box stands."""
+
     holds: Match = Match()
     frame: Literal["base", "model"] = "base"
     order: Literal["schedule", "file"] = "schedule"
     surface: str = ""
-
-
-class LyingRack(_Rack):
-    """Racks with slots, `poses` in the rack's frame: where the middle of the underside of an element's box stands."""
-
     at: FilePose
     lies: Literal["as_built", "own_axes"] = "as_built"
     rpy_deg: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
     refill: bool = False
 
 
-class GridRack(LyingRack):
+class GridRack(_Rack):
     """Slots in rows along the rack's y and columns along its x."""
 
     kind: Literal["grid"]
@@ -64,7 +53,7 @@ class GridRack(LyingRack):
         return [_at(column * x, row * y, 0.0) for row in range(self.rows) for column in range(self.columns)]
 
 
-class StackRack(LyingRack):
+class StackRack(_Rack):
     """Elements on top of each other: what is needed first lies on top."""
 
     kind: Literal["stack"]
@@ -77,27 +66,7 @@ class StackRack(LyingRack):
         return [_at(0.0, 0.0, level * self.step) for level in range(self.levels)]
 
 
-class ListRack(LyingRack):
-    """Slots at poses in the rack's frame."""
-
-    kind: Literal["list"]
-    slots: Annotated[tuple[FilePose, ...], pydantic.Field(min_length=1)]
-
-    @property
-    def poses(self) -> list[Pose]:
-        """The slots as they are given."""
-        return list(map(pose_of, self.slots))
-
-
-class DeliveredRack(_Rack):
-    """The model says where the elements are delivered; `offset`: else, from where they will be built, in its frame."""
-
-    kind: Literal["delivered"]
-    offset: FilePose | None = None
-    property: Annotated[str, pydantic.Field(pattern=r"^[^.]+\.[^.]+$")] = f"{PROPERTY_SET}.{DELIVERED}"
-
-
-Rack = Annotated[GridRack | StackRack | ListRack | DeliveredRack, pydantic.Field(discriminator="kind")]
+Rack = Annotated[GridRack | StackRack, pydantic.Field(discriminator="kind")]
 
 
 class CellFile(Strict):

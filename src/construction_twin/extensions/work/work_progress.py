@@ -16,7 +16,7 @@ from construction_twin.core.reports import ExecutionReport, WorkReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.worker import WorkerError
 from construction_twin.extensions.work import decisions, engaged_scene
-from construction_twin.extensions.work.as_built import Appearance, Deviation, pose_tuple, scene_change
+from construction_twin.extensions.work.as_built import Deviation, pose_tuple, scene_change
 from construction_twin.extensions.work.errors import WorkError
 from construction_twin.extensions.work.ledger import Ledger
 from construction_twin.extensions.work.loaded_model import LoadedModel
@@ -93,7 +93,6 @@ class WorkProgress:
         )  # fmt: skip
         self.board = TaskBoard(loaded, ledger, robot.name, robot.tip_link)
         self._received, self._services, self._clock = received, services, clock
-        decisions.ask_about_other_ledgers(self.board)
         opened = f"{loaded.model}: {len(loaded.schedule.jobs)} tasks, {ledger.lines} lines in {ledger.path}"
         for said in (opened, *self.board.notes):
             services.log(said)
@@ -332,8 +331,6 @@ class WorkProgress:
             match decision:
                 case "accept_schedule":
                     sentence = decisions.accept(board, person, reason)
-                case "answer_all":
-                    sentence = decisions.answer_all(board, answer, person, reason)
                 case "answer":
                     sentence = decisions.answer(board, task, answer, person, reason, question)
                     if problem := board.empty_grip_remedy(self._recorder.grip().commanded):
@@ -360,11 +357,6 @@ class WorkProgress:
         if self._received.execution is None or not self._received.execution.engaged:
             return report
         return replace(report, engaged=True, reason=_only_way_back(self._blocked))
-
-    def appearances(self) -> tuple[Appearance, ...]:
-        """Return what each element looks like."""
-        with self.lock:
-            return self.board.built.appearances(self.board.next(self._clock()))
 
 
 def _only_way_back(problem: str) -> str:

@@ -83,8 +83,6 @@ def show_lines(work: WorkReport, task: TaskReport) -> list[str]:
 
 
 _DECISIONS = {"skip": "skip", "redo": "redo", "answer": "answer", "removed": "removed", "accept": "accept_schedule"}
-#: Stands for every task that asks about what was placed.
-ALL = "all"
 
 
 class WorkCommand:
@@ -123,18 +121,16 @@ class WorkCommand:
         print("\n".join(show_lines(work, find_task(work.tasks, self._options.task))))
 
     def _decide(self, step: str) -> None:
-        work, answering = self._read_work(), step == "answer"
-        # of an element with a task of its own name that one is meant which asks
-        asking = [task for task in work.tasks if task.question] if answering else []
-        every = step == "accept" or (answering and self._options.task == ALL)
-        task = "" if every else find_task(asking or work.tasks, self._options.task).id
+        work, task = self._read_work(), ""
         if step == "accept":
             # what was left out or understood in some way is known before it is accepted
             print("\n".join(note_lines(work) or ["no notes on model and schedule"]))
-        decision = "answer_all" if every and answering else _DECISIONS[step]
-        self._call_service(
-            "decide", WorkDecide, task=task, decision=decision, answer=self._options.answer if answering else ""
-        )
+        else:
+            # of an element with a task of its own name that one is meant which asks
+            asking = [each for each in work.tasks if each.question] if step == "answer" else []
+            task = find_task(asking or work.tasks, self._options.task).id
+        answer = self._options.answer if step == "answer" else ""
+        self._call_service("decide", WorkDecide, task=task, decision=_DECISIONS[step], answer=answer)
 
     def _measured(self) -> None:
         pose = PoseStamped(pose=pose_to_msg(pose_goal(self._options.pose, self._options.frame)))

@@ -35,7 +35,6 @@ from construction_twin.core.share import share_file
 from construction_twin.core.worker import Worker, WorkerError, rss_mb
 from construction_twin.evaluation.tables import table_console
 from construction_twin.extensions.work.loaded_model import WORKER, LoadedModel
-from construction_twin.extensions.work.work_cell import read_work_cell
 from construction_twin.robot.description import read_robot_files
 
 if TYPE_CHECKING:
@@ -178,38 +177,22 @@ def _print(console: Console, checked: Checked) -> None:
     )
 
 
-_POSSIBLE, _NOT, _STOCK, _PATH = "#2c8a4b", "#d9541e", "#8a8f98", "#3465a4"
-_SQUARE = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-
-
 def cell_picture(tasks: Sequence[CheckedTask], loaded: LoadedModel) -> bytes:
-    """Return a PNG of the cell from above: base, stock, places, and the tool's paths."""
-    figure = Figure(figsize=(9, 7), dpi=100)
-    axes = figure.add_subplot()
-    for item in read_work_cell(loaded.cell).scene.objects:
-        if item.shape == "box" and max(item.size[:2]) < 8.0:
-            corners = np.array([(*side, 0.0) for side in _SQUARE]) * item.size / 2.0
-            seen = corners @ item.pose.rotation.T + item.pose.position
-            axes.fill(seen[:, 0], seen[:, 1], facecolor="#0001", edgecolor="#0004")
-            axes.annotate(item.name, (item.position[0], item.position[1]), color="#0008", ha="center")
+    """Return a PNG of the cell from above."""
+    figure = Figure(figsize=(9, 7))
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot(aspect="equal", xlabel="x in the base, m", ylabel="y in the base, m")
+    axes.set_title("triangle: base, grey: stock, green: can be placed, red: cannot, blue: paths of the tool")
+    axes.plot(0.0, 0.0, "k^")
     for task in tasks:
         facts, slot = loaded.elements[task.element], loaded.stock.slots.get(task.element)
-        if not facts.bodies:
-            continue
         if slot is not None:
-            axes.plot(*slot.base_T_element.position[:2], ".", color=_STOCK)
-        axes.plot(*facts.base_T_goal.position[:2], ".", color=_POSSIBLE if task.possible else _NOT)
+            axes.plot(*slot.base_T_element.position[:2], ".", color="grey")
+        axes.plot(*facts.base_T_goal.position[:2], ".", color="green" if task.possible else "red")
         if task.path:
-            axes.plot(*np.array(task.path).T[:2], color=_PATH, linewidth=0.4, alpha=0.5)
-    axes.plot(0.0, 0.0, "k^")
-    axes.annotate(" base", (0.0, 0.0))
-    axes.set_aspect("equal")
-    axes.set_xlabel("x in the base, m")
-    axes.set_ylabel("y in the base, m")
-    axes.set_title("grey: stock, green: can be placed, red: cannot, blue: paths of the tool")
-    FigureCanvasAgg(figure)
+            axes.plot(*np.array(task.path).T[:2], color="blue", linewidth=0.4)
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", bbox_inches="tight")
+    figure.savefig(buffer)
     return buffer.getvalue()
 
 

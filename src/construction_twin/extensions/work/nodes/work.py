@@ -5,28 +5,21 @@ from __future__ import annotations
 import functools
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import pydantic
 import rospy
-from geometry_msgs.msg import Point, Quaternion, Vector3
-from geometry_msgs.msg import Pose as PoseMsg
-from std_msgs.msg import ColorRGBA
 from std_srvs.srv import Trigger
-from visualization_msgs.msg import Marker, MarkerArray
 
 from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, RequestRefused
 from construction_twin.core.extensions import check_extras, import_extension
 from construction_twin.core.reports import EngagementReport, ExecutionReport
 from construction_twin.core.worker import Worker
-from construction_twin.extensions.work.as_built import Appearance
-from construction_twin.extensions.work.glb import glb
-from construction_twin.extensions.work.loaded_model import WORKER, LoadedModel
+from construction_twin.extensions.work.loaded_model import WORKER, LoadedModel, glb
 from construction_twin.extensions.work.received_messages import KnownPlan, Received, Verdict
 from construction_twin.extensions.work.task_board import WorkRefused
 from construction_twin.extensions.work.task_memory import TaskState
@@ -34,11 +27,10 @@ from construction_twin.extensions.work.work_cell import read_work_cell
 from construction_twin.extensions.work.work_progress import NoAnswer, UnderReview, WorkProgress, WorkServices
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import RobotModel
-from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.robot.motion_errors import SceneError, TrajectoryError
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg, pose_from_msg, work_segment_to_msg
 from construction_twin.ros.messages.records import from_msg, to_msg
-from construction_twin.ros.messages.scene_convert import object_to_msg, scene_from_msg, tf_frame
+from construction_twin.ros.messages.scene_convert import object_to_msg, scene_from_msg
 from construction_twin.ros.messages.tool import tool_report_from_msg
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Diagnosis
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
@@ -63,23 +55,6 @@ from construction_twin.scene.scene_change import SceneChange
 RECORD = "executor/review_file"
 #: Oldest pose of twin and arm that counts as the present one, and longest wait for one [s].
 MAX_POSE_AGE = 0.5
-#: Colours r, g, b, a of the words for an element's state. What is not there yet is seen through.
-COLOURS = {
-    "todo": (0.60, 0.62, 0.66, 0.25),
-    "next": (0.10, 0.40, 0.95, 0.55),
-    "stock": (0.80, 0.62, 0.35, 1.00),
-    "carried": (0.95, 0.60, 0.10, 1.00),
-    "placed": (0.20, 0.65, 0.30, 1.00),
-    "off": (0.85, 0.12, 0.10, 1.00),
-    "skipped": (0.35, 0.30, 0.40, 0.12),
-}
-#: Namespace of the name of the next element; no GlobalId has it.
-TEXT = "work next"
-_TEXT_COLOUR = (0.05, 0.15, 0.45, 1.0)
-#: So far the colour stands out of the element [m]: the scene draws its own body at the same place, and only one is seen there.
-_SKIN = 0.003
-#: Height of the text, and its distance above the element [m].
-_TEXT_SIZE, _TEXT_ROOM = 0.10, 0.15
 #: What is told of a measured element that was refused.
 NOT_MEASURED = {"deviation_mm": math.nan, "deviation_deg": math.nan}
 
@@ -281,15 +256,6 @@ class WorkNode:
         self._published = repr(message)
         message.header.stamp = rospy.Time.now()
         self._publishers["work/tasks"].publish(message)
-        if progress is not None:
-            self._draw(progress)
-
-    def _draw(self, progress: WorkProgress) -> None:
-        prefix, robot = self._settings.tf_prefix, self._robot
-        triangles = {name: facts.triangles for name, facts in progress.board.loaded.elements.items()}
-        base, tip = tf_frame(prefix, robot.base_link), tf_frame(prefix, robot.tip_link)
-        markers = work_markers(progress.appearances(), triangles, base, tip)
-        self._publishers["work/markers"].publish(MarkerArray(markers))
 
     def diagnose(self) -> Diagnosis:
         """Return the state of the work for `/diagnostics`."""
@@ -305,54 +271,6 @@ class WorkNode:
             return Diagnosis(WARN if asks else OK, board.summary(time.time_ns()), values)
 
 
-# -- the building model in rviz
-
-
-def work_markers(
-    elements: Iterable[Appearance], triangles: Mapping[str, np.ndarray], base_frame: str, tip_frame: str
-) -> list[Marker]:
-    """Return each element in a colour that says how far it is, a namespace each, in place of all that was drawn before.
-
-    Args:
-        triangles: Shape (t, 3, 3) by element, in its frame [m]; of the model, not the pieces that are checked.
-        tip_frame: Of what is carried.
-    """
-    markers = [Marker(action=Marker.DELETEALL)]
-    for one in elements:
-        corners = np.asarray(triangles[one.element]).reshape(-1, 3)
-        if not len(corners):
-            continue
-        markers.append(_element(one, corners, tip_frame if one.word == "carried" else base_frame))
-        if one.word == "next":
-            placed = corners @ one.pose.rotation.T + one.pose.position
-            low, high = placed.min(axis=0), placed.max(axis=0)
-            above = (*map(float, (low + high)[:2] / 2.0), float(high[2]) + _TEXT_ROOM)
-            marker = _marker(TEXT, Marker.TEXT_VIEW_FACING, base_frame, above, (0.0, 0.0, 0.0, 1.0), _TEXT_COLOUR)
-            marker.text, marker.scale = f"next: {one.name}", Vector3(0.0, 0.0, _TEXT_SIZE)
-            markers.append(marker)
-    return markers
-
-
-def _element(one: Appearance, corners: np.ndarray, frame: str) -> Marker:
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    grown = 1.0 + 2.0 * _SKIN / np.maximum(high - low, _SKIN)
-    # rviz scales about the frame's origin; the element is to grow about its middle
-    position = one.pose.position + one.pose.rotation @ ((1.0 - grown) * (low + high) / 2.0)
-    name = f"{one.element} {one.word}" if one.word in ("stock", "carried") else one.element
-    turned = rotation_to_quaternion(one.pose.rotation)
-    marker = _marker(name, Marker.TRIANGLE_LIST, frame, position, turned, COLOURS[one.word])
-    marker.scale = Vector3(*map(float, grown))
-    marker.points = [Point(*corner) for corner in corners.tolist()]
-    return marker
-
-
-def _marker(name: str, kind: int, frame: str, position: Any, quaternion: Any, colour: tuple[float, ...]) -> Marker:
-    marker = Marker(ns=name, type=kind, action=Marker.ADD, frame_locked=True, color=ColorRGBA(*colour))
-    marker.header.frame_id = frame
-    marker.pose = PoseMsg(Point(*map(float, position)), Quaternion(*map(float, quaternion)))
-    return marker
-
-
 # -- the node's interface
 
 
@@ -363,10 +281,7 @@ def _subscription(topic: str, kind: type, read: Callable[[Any], Any], queue_size
 INTERFACE = Interface(
     diagnose=WorkNode.diagnose,
     parameters=(SharedParameter("planner", {}), SharedParameter(RECORD, "")),
-    publishes=(
-        Publication("work/tasks", msg.WorkTasks, queue_size=5, latch=True),
-        Publication("work/markers", MarkerArray, queue_size=2, latch=True),
-    ),
+    publishes=(Publication("work/tasks", msg.WorkTasks, queue_size=5, latch=True),),
     polls=(PolledPose("twin/joint_states"), PolledPose("physical/joint_states", when=has_arm)),
     subscribes=(
         _subscription("engagement", msg.Engagement, functools.partial(from_msg, EngagementReport), 5),

@@ -15,7 +15,7 @@ from construction_twin.extensions.work.convex_bodies import ElementPieces
 from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.extensions.work.motions import PAIRS, AttemptFailed, PlanBuilder, Search
 from construction_twin.extensions.work.place.grips import AXES, Grip, find_grips
-from construction_twin.extensions.work.place.recipe import OVERRIDES, Direction, PlaceRecipe, check_tool, mass_of
+from construction_twin.extensions.work.place.recipe import Direction, PlaceRecipe, check_tool, mass_of
 from construction_twin.extensions.work.process import REACH, Process, TaskMotions
 from construction_twin.extensions.work.work_cell import inverse, pose_of
 from construction_twin.kinematics.chain import Pose
@@ -127,7 +127,7 @@ def _fall_reason(search: Search) -> str:
         return ""
     return Sentence(
         "nothing holds {element} when the tool lets go: nothing is under it within {gap:.0f} mm. If something else holds it "
-        "then, say so: `fastened: true` in the recipe's `place`, or the property CTwin_RobotTask.Fastened",
+        "then, say so: `fastened: true` in the recipe's `place`",
         element=job.element.name or job.element.id,
         gap=1e3 * FALL,
     )
@@ -456,7 +456,6 @@ class _Attempt:
 PROCESS = Process(
     moves=True,
     recipe=PlaceRecipe,
-    overrides=OVERRIDES,
     check_recipe=check_tool,
     mass=mass_of,
     acts=SET_DOWN,

@@ -2,24 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated, Literal
 
 import pydantic
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work.errors import TaskPlanningError
-from construction_twin.extensions.work.process import (
-    PROPERTY_SET,
-    SHARED,
-    Finite,
-    Length,
-    Override,
-    Recipe,
-    Scale,
-    Strict,
-    WorkJob,
-)  # fmt: skip
+from construction_twin.extensions.work.process import Finite, Length, Recipe, Scale, Strict, WorkJob
 from construction_twin.robot.tool import Tool
 
 _Small = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=0.0, le=10.0)]
@@ -81,35 +70,11 @@ class PlaceRecipe(Recipe):
     mass: Annotated[float, pydantic.Field(gt=0.0, le=1e4)] | None = None
 
 
-#: The properties by name. Lengths are plain IfcReal in metres whatever the file's unit is.
-OVERRIDES: Mapping[str, Override] = {
-    "Faces": Override(("grips", "faces"), "IfcLabel"),
-    "Along": Override(("grips", "along"), "IfcLabel"),
-    "Across": Override(("grips", "across"), "IfcLabel"),
-    "Yaws_deg": Override(("grips", "yaws_deg"), "IfcLabel"),
-    "Turns_deg": Override(("grips", "turns_deg"), "IfcLabel"),
-    "MinCups": Override(("grips", "min_cups"), "IfcInteger"),
-    "Beside": Override(("grips", "beside"), "IfcLabel"),
-    "Approach": Override(("stock", "approach"), "IfcReal"),
-    "Leave": Override(("stock", "leave"), "IfcLabel"),
-    "LeaveLengths": Override(("stock", "lengths"), "IfcLabel"),
-    "Arrive": Override(("place", "arrive"), "IfcLabel"),
-    "ArriveLengths": Override(("place", "lengths"), "IfcLabel"),
-    "Retreat": Override(("place", "retreat"), "IfcReal"),
-    "Fastened": Override(("place", "fastened"), "IfcBoolean"),
-    **SHARED,
-    "CarrySpeedScale": Override(("carry_speed_scale",), "IfcReal"),
-    "CarryEngaged": Override(("carry_engaged",), "IfcBoolean"),
-    "Mass": Override(("mass",), "IfcReal"),
-}
-
-
 def mass_of(job: WorkJob, name: str, recipe: PlaceRecipe, tool: Tool) -> float:
     """Return the mass that an element is placed with [kg]."""
-    own = job.element.properties.get(PROPERTY_SET, {})
-    mass = recipe.mass if "Mass" in own or job.element.mass is None else job.element.mass
+    mass = recipe.mass if job.element.mass is None else job.element.mass
     if mass is None:
-        said = f"give it a weight or a density in the model, {PROPERTY_SET}.Mass, or recipe {name!r} a mass"
+        said = f"give it a weight or a density in the model, or recipe {name!r} a mass"
         raise TaskPlanningError(job.task, f"the mass of {job.label} is not known: {said}")
     if not mass > 0.0:
         raise TaskPlanningError(job.task, f"{job.label} has a mass of {mass:g} kg; expected above 0")
