@@ -10,7 +10,7 @@ import numpy as np
 import rospy
 import rostest
 from construction_twin.msg import Feedback, Link
-from construction_twin.srv import TakeResponsibility
+from construction_twin.srv import ActAsSeen
 from twin_client import HOME, LEFT, RobotTest, Stream, TwinClient, wait
 
 from construction_twin.link.bare_supervisor import NOT_CHECKED
@@ -26,16 +26,19 @@ class BarePlcTest(RobotTest):
 
     def arm(self, name: str):
         """Arm by name as soon as the arm rests, then wait until a plan could be approved."""
-        rospy.wait_for_service("arm", 40.0)
-        service, answers = rospy.ServiceProxy("arm", TakeResponsibility), []
+        answers = []
 
         def armed() -> bool:
-            answers.append(service(name))
+            answers.append(self.asked_to_arm(name))
             return answers[-1].success
 
         self.client.wait(armed, f"an armed PLC ({answers[-1:]})", 40.0)
         self.assertIn(f"{name} is responsible for what is not checked: configuration, ", answers[-1].message)
         self.client.wait_until_ready()
+
+    def asked_to_arm(self, name: str):
+        rospy.wait_for_service("mqtt_bridge/act_as_seen", 40.0)
+        return rospy.ServiceProxy("mqtt_bridge/act_as_seen", ActAsSeen)(act="arm", person=name)
 
     def test_a_person_arms_by_name_plans_are_executed_and_a_halt_stops(self):
         client = self.client
@@ -63,8 +66,7 @@ class BarePlcTest(RobotTest):
         run = subprocess.run(command, capture_output=True, text=True, timeout=60)
         self.assertEqual(run.returncode, 2)
         self.assertIn("arm needs --responsible NAME", run.stderr)
-        rospy.wait_for_service("arm", 20.0)
-        answer = rospy.ServiceProxy("arm", TakeResponsibility)("  ")
+        answer = self.asked_to_arm("  ")
         self.assertFalse(answer.success)
         self.assertIn("is armed in a person's name", answer.message)
         answer = self.client.call("reset")

@@ -14,7 +14,7 @@ from construction_twin.msg import CartesianWaypoint, Execution, PlanOutcome, Sce
 from construction_twin.srv import (
     AddObject,
     PlanCartesian,
-    PlanFromCsv,
+    PlanTrajectory,
     RemoveObject,
 )
 from geometry_msgs.msg import Point, Pose, Quaternion
@@ -45,7 +45,7 @@ class MotionTest(RobotTest):
         cls.chain = Chain(cls.client.robot)
         cls.scenes: list[Scene] = []
         rospy.Subscriber("scene", Scene, cls.scenes.append)
-        for service in ("add_object", "clear_scene", "plan_cartesian", "plan_from_csv", "preview_plan", "pause"):
+        for service in ("add_object", "clear_scene", "plan_cartesian", "plan_trajectory", "preview_plan", "pause"):
             rospy.wait_for_service(service, 40.0)
 
     def setUp(self):
@@ -193,7 +193,7 @@ class MotionTest(RobotTest):
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "waypoints.csv"
             path.write_text("\n".join([header, *(",".join(map(str, row)) for row in rows)]) + "\n")
-            return rospy.ServiceProxy("plan_from_csv", PlanFromCsv)(path=str(path), source="test")
+            return rospy.ServiceProxy("plan_trajectory", PlanTrajectory)(path=str(path), source="test")
 
     def test_a_trajectory_that_is_repeated_at_10_hz_is_approved_by_its_first_plan_and_played_once(self):
         publisher = rospy.Publisher("joint_trajectory", JointTrajectory, queue_size=1)

@@ -13,7 +13,7 @@ from pathlib import Path
 import rospy
 import rostest
 from construction_twin.msg import Execution, Scene, ToolState, WorkTasks
-from construction_twin.srv import EditScene, WorkDecide, WorkMeasured, WorkPlanTask
+from construction_twin.srv import EditScene, WorkDecide, WorkPlanTask
 from geometry_msgs.msg import PoseStamped
 from twin_client import RobotTest, TwinClient, node_pid
 
@@ -41,7 +41,7 @@ class WorkTest(RobotTest):
         rospy.Subscriber("tool", ToolState, lambda message: setattr(cls, "tool", message))
         rospy.Subscriber("work/tasks", WorkTasks, lambda message: setattr(cls, "tasks", message))
         rospy.Subscriber("scene", Scene, lambda message: setattr(cls, "scene", message))
-        for name in ("work/plan", "work/decide", "work/measured", "review_plan", "edit_scene"):
+        for name in ("work/plan", "work/decide", "review_plan", "edit_scene"):
             rospy.wait_for_service(name, READING)
         cls.plan_task = rospy.ServiceProxy("work/plan", WorkPlanTask)
         cls.decide = rospy.ServiceProxy("work/decide", WorkDecide)
@@ -220,10 +220,10 @@ class WorkTest(RobotTest):
 
     def measured(self, number: int):
         (body,) = [item for item in self.scene.objects if item.name == f"{self.task(number).element}/0"]
-        service = rospy.ServiceProxy("work/measured", WorkMeasured)
         far = PoseStamped(pose=body.pose)
         far.pose.position.x += 100.0
-        self.assertFalse(service(self.task(number).element, far, "tester", "a tape").success)
+        measured = {"task": self.task(number).element, "decision": "measured", "pose": far}
+        self.assertFalse(rospy.ServiceProxy("work/decide", WorkDecide)(**measured, person="tester").success)
 
     def each_is_placed_once(self):
         entries = self.entries()

@@ -140,6 +140,10 @@ class BridgeBench:
         """Return the answer of one of the bridge's services."""
         return ask(NODE, self.bridge, name, SimpleNamespace(**request), self.diagnostics.refuse)
 
+    def arm_by_name(self, person: str):
+        """Return the answer to a person at the robot who arms a bare PLC."""
+        return self.ask("~act_as_seen", act="arm", person=person, moment="")
+
     def connect(self) -> None:
         """Let the broker say welcome."""
         topic, payload, _ = self.bridge.on_connect()

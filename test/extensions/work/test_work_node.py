@@ -514,9 +514,12 @@ def test_tasks_that_wait_for_each_other_are_one_sentence_and_the_node_lives(benc
     assert not answer.success and answer.message == bench.tasks[-1].reason
 
 
-def test_a_person_says_by_the_service_what_is_gone(bench):
+def test_a_person_says_by_the_service_what_is_gone_and_where_an_element_is(bench):
     bench.ready()
-    answer = bench.call("work/decide", WorkDecideRequest(TASK, "removed", "", "eva", "", ""))
+    answer = bench.call("work/decide", WorkDecideRequest(task=TASK, decision="removed", person="eva"))
     assert not answer.success and "has placed nothing" in answer.message
-    said = bench.call("work/decide", WorkDecideRequest(TASK, "x", "", "eva", "", "")).message
-    assert said == "decision 'x'; expected skip, redo, answer, removed or accept_schedule"
+    said = bench.call("work/decide", WorkDecideRequest(task=TASK, decision="x", person="eva")).message
+    assert said == "decision 'x'; expected skip, redo, answer, removed, measured or accept_schedule"
+    measured = WorkDecideRequest(task=ELEMENT, decision="measured", person="eva")
+    measured.pose.pose.orientation.w = 1.0
+    assert "is not placed yet" in bench.call("work/decide", measured).message

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from construction_twin.msg import CartesianWaypoint
-from construction_twin.srv import PlanFromCsvRequest, PlanToJointsRequest
+from construction_twin.srv import PlanToJointsRequest
 from geometry_msgs.msg import Point, Quaternion
 from geometry_msgs.msg import Pose as PoseMsg
 from planning_cell import CHAIN, HOME, LEFT, QUICK, REQUEST, RIGHT, ROBOT, SELF_COLLISION, WALL, Clock, solver
@@ -198,7 +198,7 @@ def test_zero_and_empty_mean_the_default(now):
     full = PlanToJointsRequest(duration=2.0, speed_scale=0.5, acceleration_scale=0.25, waypoints=9, source="me")
     asked = plan_request(full, "/a.csv")
     assert (asked.duration, asked.speed_scale, asked.acceleration_scale, asked.waypoints) == (2.0, 0.5, 0.25, 9)
-    assert asked.source == "me" and plan_request(PlanFromCsvRequest(path="/a.csv"), "/a.csv").source == "/a.csv"
+    assert asked.source == "me" and plan_request(PlanToJointsRequest(), "/a.csv").source == "/a.csv"
 
 
 def test_a_request_may_say_how_old_it_is_but_not_that_it_comes_from_the_future(now):

@@ -401,11 +401,11 @@ def test_a_bare_plc_is_armed_by_name_and_sent_strings_alone(clocks):
     bench.connect()
     bench.run_bare(20)
     assert bench.bridge.link is LinkState.NEEDS_RESET
-    refused = bench.ask("arm", responsible=" ")
+    refused = bench.arm_by_name(" ")
     assert not refused.success and "--responsible NAME" in refused.message
     assert not bench.ask("reset").success and bench.client.streamed == []
     bench.clocks.while_waiting = bench.run_bare
-    answer = bench.ask("arm", responsible="Ada")
+    answer = bench.arm_by_name("Ada")
     assert answer.success and "Ada is responsible for what is not checked: configuration, " in answer.message
     bench.run_bare(1)
     link = bench.links[-1][0]
@@ -432,7 +432,7 @@ def test_a_bare_plc_whose_poses_do_not_meet_the_twin_is_not_armed_later(clocks):
     bench.connect()
     bench.run_bare(20)
     bench.clocks.while_waiting = lambda: bench.run_bare(commands=False)
-    answer = bench.ask("arm", responsible="Ada")
+    answer = bench.arm_by_name("Ada")
     assert not answer.success and answer.message.startswith("not armed within 1 s: RESYNC")
     bench.run_bare(50)
     assert bench.bridge.link is LinkState.NEEDS_RESET and bench.client.streamed == []
@@ -450,7 +450,7 @@ def test_a_bare_plc_that_is_armed_in_the_last_moment_is_not_said_to_be_unarmed(c
     bench = waiting_for_a_name(clocks)
     end = clocks.steady + round(0.95 * NANOSECONDS)
     clocks.while_waiting = lambda: bench.run_bare(30, True) if clocks.steady >= end else bench.run_bare(commands=False)
-    answer = bench.ask("arm", responsible="Ada")
+    answer = bench.arm_by_name("Ada")
     assert answer.success is (bench.bridge.link is LinkState.ARMED), answer.message
     bench.run_bare(50)
     assert answer.success is (bench.bridge.link is LinkState.ARMED) is bool(bench.client.streamed)
@@ -463,10 +463,10 @@ def test_a_second_person_s_refused_call_does_not_withdraw_the_first_one_s(clocks
     def wait() -> None:
         bench.run_bare()
         if not refusals:
-            refusals.append(bench.ask("arm", responsible="Grace"))
+            refusals.append(bench.arm_by_name("Grace"))
 
     clocks.while_waiting = wait
-    answer = bench.ask("arm", responsible="Ada")
+    answer = bench.arm_by_name("Ada")
     assert not refusals[0].success and "Ada is responsible already" in refusals[0].message
     assert answer.success and "Ada is responsible for" in answer.message and bench.bridge.link is LinkState.ARMED
 
@@ -480,10 +480,10 @@ def test_a_person_whose_arming_was_halted_is_not_told_of_the_next_one_s_and_does
         if not answers:
             bench.bridge.on_halt(None)
             answers.append(None)
-            answers[0] = bench.ask("arm", responsible="Grace")
+            answers[0] = bench.arm_by_name("Grace")
 
     clocks.while_waiting = wait
-    answer = bench.ask("arm", responsible="Ada")
+    answer = bench.arm_by_name("Ada")
     assert answers[0].success and "Grace is responsible for" in answers[0].message
     assert not answer.success and "Grace is responsible for" in answer.message
     assert bench.bridge.link is LinkState.ARMED
@@ -533,7 +533,7 @@ def test_a_word_on_status_is_believed_once_the_gateway_is_silent(bench):
 
 def test_without_a_bare_plc_nobody_is_responsible(bench):
     bench.arm()
-    answer = bench.ask("arm", responsible="Ada")
+    answer = bench.arm_by_name("Ada")
     assert not answer.success and "nothing to arm: ARMED, " in answer.message
     link = bench.links[-1][0]
     assert (link.gateway_kind, link.responsible, list(link.not_checked)) == ("rsi", "", [])

@@ -17,7 +17,6 @@ from bridge_bench import Client
 from construction_twin.msg import Engagement, Review, Signal, ToolSwitch, WorkSegment
 from construction_twin.srv import (
     PlanCartesianRequest,
-    PlanFromCsvRequest,
     PlanToJointsRequest,
     PlanToPoseRequest,
     PlanTrajectoryRequest,
@@ -161,7 +160,7 @@ def test_while_engaged_only_the_way_back_is_planned(bench):
         ("plan_to_joints", PlanToJointsRequest(goal=list(LEFT))),
         ("plan_to_pose", PlanToPoseRequest()),
         ("plan_cartesian", PlanCartesianRequest()),
-        ("plan_from_csv", PlanFromCsvRequest(path=str(ROOT / "benchmarks/problems/free.csv"))),
+        ("plan_trajectory", PlanTrajectoryRequest(path=str(ROOT / "benchmarks/problems/free.csv"))),
         ("plan_trajectory", PlanTrajectoryRequest(trajectory=convert.trajectory_to_msg(path))),
         ("plan_work", PlanWorkRequest(task="t", segments=task())),
     ]
@@ -177,6 +176,20 @@ def test_while_engaged_only_the_way_back_is_planned(bench):
     assert (plan.planner, plan.task, plan.segments[0].requires[0].name) == ("way back", "task-1", "held")
     assert "carry" in plan.source and "stopped by a person" in plan.source
     np.testing.assert_array_equal(plan.trajectory.positions[[0, -1]], [bench.pose, HOME])
+
+
+def test_a_motion_comes_as_a_message_or_from_a_file_and_not_from_both(bench, tmp_path):
+    file = tmp_path / "path.csv"
+    file.write_text("\n".join(",".join(map(repr, np.asarray(q).tolist())) for q in (HOME, RIGHT)))
+    request = PlanTrajectoryRequest(path=str(file), columns="joints_rad")
+    assert bench.services["plan_trajectory"](request).success
+    (plan,) = bench.published["plan"]
+    assert plan.source == str(file) and np.allclose(plan.trajectory.points[-1].positions, RIGHT)
+    file.write_text(file.read_text().replace(repr(float(RIGHT[0])), "9.0"))
+    answer = bench.services["plan_trajectory"](request)
+    assert not answer.success and "line 2: joint_a1 is 9 rad" in answer.message
+    request.trajectory = convert.trajectory_to_msg(motion(HOME, RIGHT))
+    assert "expected one of them" in bench.services["plan_trajectory"](request).message
 
 
 def test_once_it_is_free_any_motion_is_planned_and_there_is_no_way_back(bench):

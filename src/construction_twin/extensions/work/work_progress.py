@@ -338,7 +338,9 @@ class WorkProgress:
                 case "skip" | "redo" | "removed":
                     sentence = getattr(decisions, decision)(board, task, person, reason)
                 case _:
-                    raise WorkRefused(f"decision {decision!r}; expected skip, redo, answer, removed or accept_schedule")
+                    raise WorkRefused(
+                        f"decision {decision!r}; expected skip, redo, answer, removed, measured or accept_schedule"
+                    )
         self._services.log(f"{sentence} ({person})")
         self._received.notify()
         return sentence

@@ -15,7 +15,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.link.requests import GoalRequest
 from construction_twin.msg import CartesianWaypoint
 from construction_twin.robot.frames import rotation_to_quaternion
-from construction_twin.srv import PlanCartesian, PlanFromCsv, PlanToJoints, PlanToPose, WorkPlanTask
+from construction_twin.srv import PlanCartesian, PlanToJoints, PlanToPose, PlanTrajectory, WorkPlanTask
 
 
 def request_fields(kind: Any, record: object, **further: object) -> dict[str, object]:
@@ -58,7 +58,7 @@ PLAN_SERVICES: Mapping[str, PlanService] = {
         PlanCartesian,
         lambda asked: {"frame_id": asked.frame, "waypoints": [CartesianWaypoint(pose=_pose(asked))]},
     ),
-    "csv": PlanService("plan_from_csv", PlanFromCsv),
+    "csv": PlanService("plan_trajectory", PlanTrajectory),
     "way_back": PlanService("plan_way_back", Trigger),
     "work_task": PlanService("work/plan", WorkPlanTask),
 }

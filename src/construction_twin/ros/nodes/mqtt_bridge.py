@@ -39,7 +39,7 @@ from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.saved_parameter import SavedParameter
 from construction_twin.ros.transport.joint_stream import now_ns
-from construction_twin.srv import ActAsSeen, TakeResponsibility
+from construction_twin.srv import ActAsSeen, ActAsSeenRequest
 
 #: Period at which the link is polled, and at which the log is written [s].
 POLL, LOG_PERIOD = 0.02, 0.05
@@ -252,6 +252,11 @@ class MqttBridge:
         self._log.add(rospy.loginfo, "%s asked for by %s: %s", verb, person or "a service", asked.lifts)
         return Outcome(*self._wait(asked))
 
+    def on_act_as_seen(self, request: ActAsSeenRequest) -> Outcome:
+        """Reset or arm in a person's name; only to arm a PLC, at the robot's computers, needs no moment."""
+        at_the_robot = request.act == "arm" and not request.moment
+        return self.ask(request.act, request.person, None if at_the_robot else request.moment)
+
     def _wait(self, asked: PendingRequest) -> tuple[bool, str]:
         while True:
             ending = rospy.is_shutdown()
@@ -356,8 +361,7 @@ INTERFACE = shell.Interface(
     ),
     serves=(
         shell.Served("reset", Trigger, lambda node, _: node.ask("reset")),
-        shell.Served("~act_as_seen", ActAsSeen, lambda node, asked: node.ask(asked.act, asked.person, asked.moment)),
-        shell.Served("arm", TakeResponsibility, lambda node, asked: node.ask("arm", asked.responsible)),
+        shell.Served("~act_as_seen", ActAsSeen, MqttBridge.on_act_as_seen),
         shell.Served("halt", Trigger, MqttBridge.on_halt),
         shell.Served("mirror", SetBool, MqttBridge.on_mirror),
     ),

@@ -209,20 +209,19 @@ class PlannerNode:
 
         return self._answer(asked, plan)
 
-    def on_plan_from_csv(self, request: srv.PlanFromCsvRequest) -> Outcome:
-        """Plan through the waypoints of a file."""
-        asked = plan_request(request, request.path)
-        return self._through(
-            asked,
-            lambda: import_extension("planners.waypoint_file").read_waypoints(
-                request.path, self._robot, request.columns
-            ),
-        )
-
     def on_plan_trajectory(self, request: srv.PlanTrajectoryRequest) -> Outcome:
-        """Plan a motion from elsewhere."""
-        asked = plan_request(request, f"plan_trajectory from {caller_of(request)}")
-        return self._through(asked, lambda: trajectory_waypoints(request.trajectory, self._robot), request.retime)
+        """Plan a motion from elsewhere, from a message or a file."""
+        asked = plan_request(request, request.path or f"plan_trajectory from {caller_of(request)}")
+
+        def read() -> Waypoints:
+            if not request.path:
+                return trajectory_waypoints(request.trajectory, self._robot)
+            if request.trajectory.points:
+                raise PlanningError("both a trajectory and the path of a file are given; expected one of them")
+            file = import_extension("planners.waypoint_file")
+            return file.read_waypoints(request.path, self._robot, request.columns)
+
+        return self._through(asked, read, request.retime)
 
     def on_trajectory(self, message: JointTrajectory) -> None:
         """Plan a motion from elsewhere; what becomes of it stands in `plan_outcome`."""
@@ -352,7 +351,6 @@ INTERFACE = shell.Interface(
         shell.Served("plan_to_joints", srv.PlanToJoints, PlannerNode.on_plan_to_joints),
         shell.Served("plan_to_pose", srv.PlanToPose, PlannerNode.on_plan_to_pose),
         shell.Served("plan_cartesian", srv.PlanCartesian, PlannerNode.on_plan_cartesian),
-        shell.Served("plan_from_csv", srv.PlanFromCsv, PlannerNode.on_plan_from_csv),
         shell.Served("plan_trajectory", srv.PlanTrajectory, PlannerNode.on_plan_trajectory),
         shell.Served("plan_work", srv.PlanWork, PlannerNode.on_plan_work),
         shell.Served("plan_way_back", Trigger, PlannerNode.on_plan_way_back),

@@ -13,7 +13,7 @@ from construction_twin.ros.messages.plan_services import PLAN_SERVICES, request_
 from construction_twin.ros.shared.master import expect_publisher
 from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.persistent_service import PersistentService
-from construction_twin.srv import PreviewPlan, ReviewPlan, TakeResponsibility
+from construction_twin.srv import ActAsSeen, PreviewPlan, ReviewPlan
 
 
 class OperatorClient:
@@ -52,7 +52,7 @@ class OperatorClient:
 
     def arm(self, responsible: str) -> Outcome:
         """Arm a bare PLC in the name of the person who is responsible for what is not checked."""
-        return self.ask("arm", TakeResponsibility, responsible=responsible)
+        return self.ask("mqtt_bridge/act_as_seen", ActAsSeen, act="arm", person=responsible)
 
     def latched(self, name: str, kind: Any, silent: str, to_do: str) -> Any:
         """Return what is latched on a topic of the robot; SilenceError when nothing is."""

@@ -17,7 +17,7 @@ from construction_twin.msg import WorkTasks
 from construction_twin.ros.messages.convert import pose_to_msg
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.shared.operator_client import OperatorClient
-from construction_twin.srv import WorkDecide, WorkMeasured
+from construction_twin.srv import WorkDecide
 from construction_twin.views.arguments import Exit
 from construction_twin.views.goals import pose_goal
 
@@ -130,17 +130,16 @@ class WorkCommand:
             asking = [each for each in work.tasks if each.question] if step == "answer" else []
             task = find_task(asking or work.tasks, self._options.task).id
         answer = self._options.answer if step == "answer" else ""
-        self._call_service("decide", WorkDecide, task=task, decision=_DECISIONS[step], answer=answer)
+        self._call_decide(task=task, decision=_DECISIONS[step], answer=answer)
 
     def _measured(self) -> None:
         pose = PoseStamped(pose=pose_to_msg(pose_goal(self._options.pose, self._options.frame)))
         pose.header.frame_id = self._options.frame
-        self._call_service("measured", WorkMeasured, element=self._options.element, pose=pose)
+        self._call_decide(task=self._options.element, decision="measured", pose=pose)
 
-    def _call_service(self, service: str, kind: type, **fields: object) -> None:
+    def _call_decide(self, **fields: object) -> None:
         person = self._options.person or self._account
-        asked = {**fields, "person": person, "reason": self._options.reason}
-        print(self._client.ask(f"work/{service}", kind, **asked).message)
+        print(self._client.ask("work/decide", WorkDecide, **fields, person=person, reason=self._options.reason).message)
 
     def _read_work(self) -> WorkReport:
         to_do = "start bringup with work_model and work_cell, or see why the node is down"

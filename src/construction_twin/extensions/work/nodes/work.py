@@ -55,8 +55,6 @@ from construction_twin.scene.scene_change import SceneChange
 RECORD = "executor/review_file"
 #: Oldest pose of twin and arm that counts as the present one, and longest wait for one [s].
 MAX_POSE_AGE = 0.5
-#: What is told of a measured element that was refused.
-NOT_MEASURED = {"deviation_mm": math.nan, "deviation_deg": math.nan}
 
 
 class Settings(PrivateSettings):
@@ -211,19 +209,19 @@ class WorkNode:
         return Outcome(True, fields.pop("message"), fields=fields)
 
     def on_decide(self, request: srv.WorkDecideRequest) -> str:
-        """Record a decision of a person."""
+        """Record a decision of a person, or where one has measured an element."""
+        if request.decision == "measured":
+            return self._record_measured(request)
         return self._usable_progress().decide(
             request.decision, request.task, request.answer, request.person, request.reason, request.question
         )
 
-    def on_measured(self, request: srv.WorkMeasuredRequest) -> Outcome:
-        """Record where a person has measured an element."""
+    def _record_measured(self, request: srv.WorkDecideRequest) -> str:
         header = request.pose.header
         pose = product(self._frames.in_base(header.frame_id, header.stamp), pose_from_msg(request.pose.pose))
-        found = self._usable_progress().record_measured(request.element, pose, request.person, request.reason)
+        found = self._usable_progress().record_measured(request.task, pose, request.person, request.reason)
         distance, angle = found.distance * 1e3, math.degrees(found.angle)
-        sentence = f"{request.element} is {distance:.2f} mm and {angle:.3f} deg from where the model has it"
-        return Outcome(True, sentence, fields={"deviation_mm": distance, "deviation_deg": angle})
+        return f"{request.task} is {distance:.2f} mm and {angle:.3f} deg from where the model has it"
 
     def on_message(self, topic: str, read: Callable[[Any], Any], message: Any) -> None:
         """Read and store a message, or refuse it."""
@@ -297,7 +295,6 @@ INTERFACE = Interface(
     serves=(
         Served("work/plan", srv.WorkPlanTask, WorkNode.on_plan_task, refused=lambda _, request: {"task": request.task}),
         Served("work/decide", srv.WorkDecide, WorkNode.on_decide),
-        Served("work/measured", srv.WorkMeasured, WorkNode.on_measured, refused=lambda *_: NOT_MEASURED),
     ),
 )
 
