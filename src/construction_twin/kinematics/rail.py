@@ -36,6 +36,7 @@ from construction_twin.robot.urdf import chain_joints, parse_urdf
 
 #: Spacing of the grid along the axis [m], its fewest steps between two ends of the reach, and parts of what is divided.
 _SPACING, _FEWEST, _PARTS = 0.02, 12, 20
+_FRACTIONS = np.linspace(0.0, 1.0, _PARTS + 1)
 #: Most intervals divided at once; shorter ones are not divided [m].
 _INTERVALS, _FINEST = 64, 1e-9
 #: A wrist that bends by less may be singular near by; by less than the second, it is [rad].
@@ -44,8 +45,6 @@ _BENT, _SINGULAR = 0.1, 3e-7
 _SMOOTH = 1e-4
 #: A joint that moves by more between two positions of the grid may turn round there [rad].
 _FAST = 0.5
-#: Of the carriage and six joints.
-_BUT_4_AND_6 = [0, 1, 2, 3, 5]
 #: Out of range by less is rounding [rad].
 _ROUNDING = 3e-7
 #: An edge of the reach is known this well; a root whose imaginary part is less is one, but for rounding [m].
@@ -97,7 +96,7 @@ class _Rows(NamedTuple):
     Attributes:
         slots: Shape (r,). Each row's branch, as in `SLOTS`.
         positions: Shape (r, m). Ascending [m].
-        joints: Shape (r, m, 6). [rad]; nan: there is no such branch.
+        joints: Shape (6, r, m). [rad]; nan: there is no such branch. Joints first: numpy is quicker along long last axes.
         wrist: Shape (r, m). |sin| of the wrist's angle.
     """
 
@@ -127,6 +126,8 @@ class RailInverse(InverseKinematics):
         self._travel = arm.model.base_T_opw[:3, :3].T @ (carriage.rotation.T @ carriage.direction)
         lower, upper = self.ranges.lower[1:], self.ranges.upper[1:]
         self._middle, self._half = 0.5 * (upper + lower), 0.5 * (upper - lower)
+        # how far from its middle a range's window of one turn may lie, of which every angle is in range
+        self._slack = np.maximum(self._half + _ROUNDING - 0.5 * TURN, 0.0)
 
     @property
     def kind(self) -> ArmKind:
@@ -169,7 +170,7 @@ class RailInverse(InverseKinematics):
         rank, away = self._rank(rows, start)
         row, at = (rank < _OUT).nonzero()
         order = rank[row, at].argsort(kind="stable")
-        row, q = row[order], start + away[row, at][order]
+        row, q = row[order], start + away[:, row, at].T[order]
 
         def confirm(number: int) -> IkSolution | None:
             return self.confirmed(q[number].tolist(), pose, start, SLOTS[rows.slots[row[number]]])
@@ -211,15 +212,15 @@ class RailInverse(InverseKinematics):
         )
         joints, wrist = self._branches(flange, positions)
         at = np.broadcast_to(positions, (len(slots), len(positions)))
-        return _Rows(slots, at, joints.transpose(1, 0, 2)[slots], wrist.T[slots])
+        return _Rows(slots, at, np.ascontiguousarray(joints.T[:, slots]), wrist.T[slots])
 
     def _between(self, flange: np.ndarray, slots: np.ndarray, low: np.ndarray, high: np.ndarray) -> _Rows:
         """Return a branch at positions that divide an interval, for each of k branches and intervals."""
-        positions = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, _PARTS + 1)
+        positions = low[:, None] + (high - low)[:, None] * _FRACTIONS
         joints, wrist = self._branches(flange, positions.ravel())
-        own = np.repeat(slots, _PARTS + 1)[:, None]
-        joints = np.take_along_axis(joints, own[..., None], axis=1).reshape(*positions.shape, 6)
-        return _Rows(slots, positions, joints, np.take_along_axis(wrist, own, axis=1).reshape(positions.shape))
+        own = np.arange(positions.size), np.repeat(slots, _PARTS + 1)
+        joints = np.ascontiguousarray(joints[own].T).reshape(6, *positions.shape)
+        return _Rows(slots, positions, joints, wrist[own].reshape(positions.shape))
 
     def _edges(self, flange: np.ndarray) -> np.ndarray:
         """Return the positions where the wrist centre is at an edge of a shoulder's reach [m].
@@ -233,29 +234,34 @@ class RailInverse(InverseKinematics):
         across = squares[:, :2].sum(axis=1) - [0.0, 0.0, model.b**2]
         whole = across + squares[:, 2]
         forearm = math.hypot(model.a2, model.c3)
-        roots = [np.roots(across)] if model.b else []
-        for radius in (model.c2 + forearm, model.c2 - forearm):
+        # the quartics' leading coefficient is 1, as the travel's length: their roots are the eigenvalues of these matrices
+        companions = np.zeros((2, 4, 4))
+        companions[:, [1, 2, 3], [0, 1, 2]] = 1.0
+        for companion, radius in zip(companions, (model.c2 + forearm, model.c2 - forearm)):
             level = whole + [0.0, 0.0, model.a1**2 - radius**2]
-            roots.append(np.roots(np.polysub(np.polymul(level, level), 4.0 * model.a1**2 * across)))
-        every = np.concatenate(roots)
+            quartic = np.convolve(level, level)
+            quartic[2:] -= 4.0 * model.a1**2 * across
+            companion[0] = -quartic[1:]
+        every = np.linalg.eigvals(companions).ravel()
+        if model.b:
+            every = np.append(every, np.roots(across))
         return every[np.abs(every.imag) < _TANGENT].real
 
     def _rank(self, rows: _Rows, seed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return ranks, shape (r, m), and distances from the seed, shape (r, m, 7), with the nearest whole turns in range.
+        """Return ranks, shape (r, m), and distances from the seed, shape (7, r, m), with the nearest whole turns in range.
 
         The lower a rank the better, see `_OUT`; inf: there is no such branch.
         """
-        joints = rows.joints - TURN * np.rint((rows.joints - seed[1:]) * (1.0 / TURN))
-        excess = np.abs(joints - self._middle) - self._half
-        other = joints - TURN * np.sign(joints - self._middle)
-        other_excess = np.abs(other - self._middle) - self._half
-        better = (excess > _ROUNDING) & (other_excess < excess)
-        joints, excess = np.where(better, other, joints), np.where(better, other_excess, excess)
-        worst = excess.max(axis=-1)
-        away = np.concatenate([rows.positions[..., None] - seed[0], joints - seed[1:]], axis=-1)
-        rank = np.where(worst <= _ROUNDING, np.einsum("ijk,ijk->ij", away, away), _OUT + worst)
-        rank[np.isnan(worst)] = math.inf
-        return rank, away
+        middle, half, start = (each[:, None, None] for each in (self._middle, self._half, seed[1:]))
+        centre = np.clip(start, middle - self._slack[:, None, None], middle + self._slack[:, None, None])
+        joints = rows.joints - TURN * np.rint((rows.joints - centre) * (1.0 / TURN))
+        worst = (np.abs(joints - middle) - half).max(axis=0)
+        away = np.empty((7, *worst.shape))
+        away[0] = rows.positions - seed[0]
+        np.subtract(joints, start, out=away[1:])
+        rank = np.where(worst <= _ROUNDING, (away * away).sum(axis=0), _OUT + worst)
+        # nan becomes inf
+        return np.fmin(rank, math.inf), away
 
     def _divide(
         self, flange: np.ndarray, rows: _Rows, seed: np.ndarray, one: bool
@@ -265,18 +271,21 @@ class RailInverse(InverseKinematics):
         found: list[_Candidate] = []
         singular: list[float] = []
         coarse = True
-        while len(rows.slots):
+        while True:
             rank, away = self._rank(rows, seed)
             lowest = rank.argmin(axis=1)
-            for values, ways, column, slot in zip(rank, away, lowest.tolist(), rows.slots.tolist()):
-                if values[column] < min(best[slot], _OUT):
-                    best[slot] = values[column]
-                    found.append(_Candidate(float(values[column]), slot, seed + ways[column]))
+            for row, (column, slot) in enumerate(zip(lowest.tolist(), rows.slots.tolist())):
+                value = float(rank[row, column])
+                if value < min(best[slot], _OUT):
+                    best[slot] = value
+                    found.append(_Candidate(value, slot, seed + away[:, row, column]))
             if one:
                 best[:] = best.min()
-            row, at, flips = _promising(rows, rank, away, np.sqrt(best)[rows.slots], coarse)
+            row, at, flips = _promising(rows, rank, away, best[rows.slots], coarse)
             singular += flips
             coarse = False
+            if not len(row):
+                break
             rows = self._between(flange, rows.slots[row], rows.positions[row, at], rows.positions[row, at + 1])
         return sorted(found, key=lambda each: each.rank), np.unique(np.round(singular, 8)).tolist()
 
@@ -320,7 +329,7 @@ def _minima(values: np.ndarray) -> np.ndarray:
     falls = np.ones((len(values), values.shape[1] + 1), dtype=bool)
     np.less(values[:, 1:], values[:, :-1], out=falls[:, 1:-1])
     falls[:, -1] = False
-    return falls[:, :-1] & ~falls[:, 1:] & np.isfinite(values)
+    return falls[:, :-1] & ~falls[:, 1:] & (values < math.inf)
 
 
 def _promising(
@@ -329,29 +338,37 @@ def _promising(
     """Return where something nearer may be: row and first column of intervals; and the positions where the wrist is singular.
 
     Args:
-        nearest: Shape (r,). Distance of the best of each row's branch.
+        nearest: Shape (r,). Squared distance of the best of each row's branch.
         coarse: Between two positions a branch may come nearer where it comes into range or moves fast, too.
     """
-    moves = np.abs(np.diff(away, axis=1))
-    # a joint that turns one way between two positions comes no nearer than this
-    gaps = np.minimum(np.abs(away[:, 1:]), np.abs(away[:, :-1])) * (away[:, 1:] * away[:, :-1] > 0.0)
-    inside, fastest = rank < _OUT, moves.max(axis=-1)
     chosen = _either(_minima(rank))
     if coarse:
-        chosen |= (fastest > _FAST) | (inside[:, 1:] != inside[:, :-1])
-    # nan: the branch ends there
-    chosen &= ~(np.linalg.norm(gaps, axis=-1) >= nearest[:, None])
-    wrist = np.where(np.isnan(rows.wrist), math.inf, rows.wrist)
-    bends = _minima(wrist) & (wrist < _BENT)
-    singular = bends & (wrist <= _SINGULAR)
-    # there joints 4 and 6 turn by anything
-    chosen |= _either(bends & ~singular) & (np.linalg.norm(gaps[..., _BUT_4_AND_6], axis=-1) < nearest[:, None])
-    least = np.minimum(rank[:, 1:], rank[:, :-1])
-    chosen &= ~(least - _OUT > fastest) & (np.diff(rows.positions, axis=1) > _FINEST)
-    chosen &= ~(inside[:, 1:] & inside[:, :-1] & (fastest < _SMOOTH))
+        inside, fast = rank < _OUT, np.abs(away[:, :, 1:] - away[:, :, :-1]).max(axis=0) > _FAST
+        chosen |= fast | (inside[:, 1:] != inside[:, :-1])
+    bends = rows.wrist < _BENT
+    singular: list[float] = []
+    turns_over = None
+    if bends.any():
+        bends &= _minima(np.fmin(rows.wrist, math.inf))
+        singular = rows.positions[bends & (rows.wrist <= _SINGULAR)].tolist()
+        turns_over = _either(bends & (rows.wrist > _SINGULAR))
+        chosen |= turns_over
     row, at = chosen.nonzero()
-    order = least[row, at].argsort(kind="stable")[:_INTERVALS]
-    return row[order], at[order], rows.positions[singular].tolist()
+    first, second = away[:, row, at], away[:, row, at + 1]
+    fastest = np.abs(second - first).max(axis=0)
+    # a joint that turns one way between two positions comes no nearer than this; 0 where the branch ends
+    gaps = np.where(first * second > 0.0, np.minimum(first * first, second * second), 0.0)
+    bound = gaps.sum(axis=0)
+    if turns_over is not None:
+        # there joints 4 and 6 turn by anything
+        bound -= turns_over[row, at] * (gaps[4] + gaps[6])
+    ranks = rank[row, at], rank[row, at + 1]
+    least = np.minimum(*ranks)
+    keep = (bound < nearest[row]) & ~(least - _OUT > fastest) & (second[0] - first[0] > _FINEST)
+    keep &= ~((np.maximum(*ranks) < _OUT) & (fastest < _SMOOTH))
+    kept = keep.nonzero()[0]
+    kept = kept[least[kept].argsort(kind="stable")[:_INTERVALS]]
+    return row[kept], at[kept], singular
 
 
 def _either(columns: np.ndarray) -> np.ndarray:
