@@ -39,10 +39,6 @@ class MotionValidator:
         """Return whether nothing touches between `start`, which is not checked, and `end`, which is; shape (n,) each."""
         return self.world.all_free(self.states(start, end)) is None
 
-    def first_free(self, starts: np.ndarray, ends: np.ndarray) -> int | None:
-        """Return the first of some edges, shape (k, n), that is free, as `free` says it of one; None: none is."""
-        return next((row for row, edge in enumerate(zip(starts, ends)) if self.free(*edge)), None)
-
     def states(self, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """Return the states that `free` checks, in its order, shape (m, n): `end` is the first."""
         displacement = end - start

@@ -37,7 +37,7 @@ class NoPathError(PlanningError):
 
 
 #: Distance of the points between which shortcuts are tried: shorter costs more checks and gains little.
-SPACING = 0.7
+SPACING = 1.4
 #: A shortcut that gains less than this part of the path's length is not tried.
 WORTHWHILE = 0.02
 
@@ -61,33 +61,33 @@ class PathQuery:
     seed: int
 
 
-#: Returns the first of some straight edges that is free, given their starts and ends, shape (k, n); None: none is.
-FirstFree = Callable[[np.ndarray, np.ndarray], int | None]
-
-
-def shortened(path: np.ndarray, first_free: FirstFree) -> np.ndarray:
+def shortened(path: np.ndarray, is_free: Callable[[np.ndarray, np.ndarray], bool]) -> np.ndarray:
     """Return a path with the same ends that is no longer, by the shortcuts that gain most first, until nothing is gained.
 
-    Nothing is drawn by chance. Every edge is a part of a given one, which are free, or was found free.
+    Nothing is drawn by chance. Every edge is a part of a given one, which are free, or was found free by `is_free`.
     """
-    points = _divided(path)
+    points, blocked = _divided(path), set()
     while True:
         gains, length = _gains(points)
         firsts, lasts = np.nonzero(gains >= WORTHWHILE * length)
         order = np.argsort(-gains[firsts, lasts], kind="stable")
-        firsts, lasts = firsts[order], lasts[order]
-        found = first_free(points[firsts], points[lasts])
-        if found is None:
-            return _fewer(_corners(points), first_free)
-        first, last = firsts[found], lasts[found]
-        points = np.concatenate((points[:first], _divided(points[[first, last]]), points[last + 1 :]))
+        for first, last in zip(firsts[order].tolist(), lasts[order].tolist()):
+            edge = points[[first, last]]
+            key = edge.tobytes()
+            if key not in blocked:
+                if is_free(*edge):
+                    points = np.concatenate((points[:first], _divided(edge), points[last + 1 :]))
+                    break
+                blocked.add(key)
+        else:
+            return _fewer(_corners(points), is_free)
 
 
-def _fewer(points: np.ndarray, first_free: FirstFree) -> np.ndarray:
+def _fewer(points: np.ndarray, is_free: Callable[[np.ndarray, np.ndarray], bool]) -> np.ndarray:
     """Return the path without the corners that need not be: each one slows the motion, however little it makes it longer."""
     index = 1
     while index < len(points) - 1:
-        if first_free(points[[index - 1]], points[[index + 1]]) is not None:
+        if is_free(points[index - 1], points[index + 1]):
             points = np.delete(points, index, axis=0)
             index = max(1, index - 1)
         else:
@@ -165,7 +165,7 @@ class OmplSearch:
         # most edges of a search are in no path: they are checked coarsely first, and the path that comes of them as asked
         for times in (COARSER, 1.0):
             points = self._search(query, query.validator.coarser(times), budget)
-            path = shortened(points, query.validator.first_free)
+            path = shortened(points, query.validator.free)
             if times == 1.0 or all(query.validator.free(*edge) for edge in zip(path, path[1:])):
                 break
         return path

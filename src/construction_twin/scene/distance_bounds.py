@@ -24,7 +24,7 @@ RESOLUTION = 2e-5
 #: A stretch between two rows is divided no nearer to its ends than this part of it.
 _EDGE = 0.1
 #: So many stretches are divided together, those first where most is to be expected.
-_DIVIDED = 64
+_DIVIDED = 256
 
 #: What a stretch is, one row each of a table: of bounds, no distance on it is smaller [m].
 _LOW, _HIGH, _AT_LOW, _AT_HIGH, _MOVED_LOW, _MOVED_HIGH, _BOUND = range(7)
