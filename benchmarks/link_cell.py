@@ -19,7 +19,7 @@ from construction_twin.gateway.config import GatewayConfig
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, Topics, arm_value
 from construction_twin.robot.description import read_robot_files
-from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.ros.nodes.rsi_gateway import gateway_config
 
 PREFIX = "twin"
 

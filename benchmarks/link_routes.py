@@ -28,7 +28,7 @@ from construction_twin.core.realtime import release_realtime, request_realtime
 from construction_twin.mqtt.messages import Topics
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.urdf import expand_xacro
-from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.ros.nodes.rsi_gateway import gateway_config
 from construction_twin.ros.transport.joint_stream import QUEUE, JointPublisher, from_time
 
 #: Of the routes [Hz].

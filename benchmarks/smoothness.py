@@ -25,7 +25,7 @@ from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import CommandProperties, Control, arm_value, reset_value
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.description import RobotModel, read_robot_files
-from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.ros.nodes.rsi_gateway import gateway_config
 
 #: Time at rest before the motion: two of the long stalls [s].
 WARM_UP = 12.0

@@ -26,7 +26,7 @@ from construction_twin.core.units import CYCLE, format_allowance, from_wire
 from construction_twin.gateway.trace import read_trace
 from construction_twin.review.rehearsal_report import RehearsalReport
 from construction_twin.ros.messages.records import from_msg
-from construction_twin.ros.shared.gateway_config import config_of_link
+from construction_twin.ros.nodes.rsi_gateway import config_of_link
 from construction_twin.ros.shared.params import robot_file, robot_from_parameters
 from construction_twin.scenario.judge import trace_excesses
 

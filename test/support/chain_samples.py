@@ -16,7 +16,7 @@ from construction_twin.monitor.settings import GateSettings
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.plan import Plan
-from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.ros.nodes.rsi_gateway import gateway_config
 from construction_twin.servo.model import ServoModel
 from construction_twin.twin.virtual_robot import KinematicBackend, TwinBackend
 

@@ -27,7 +27,7 @@ from construction_twin.mock.program import MockSettings, axis_angles, build_cont
 from construction_twin.mock.servo import RealisticServo, Servo
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.robot.plan import Plan
-from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.ros.nodes.rsi_gateway import gateway_config
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.servo.model import JointServo, ServoModel, transition_matrix
 

@@ -6,6 +6,8 @@ import argparse
 import contextlib
 import enum
 import math
+import os
+import re
 
 from construction_twin.core.extensions import ExtensionAbsent, import_extension
 
@@ -37,6 +39,17 @@ class Exit(enum.IntEnum):
     NOT_CONFIRMED = 5
     #: The command was interrupted; a motion goes on.
     INTERRUPTED = 130
+
+
+def read_command_line(words: list[str]) -> argparse.Namespace:
+    """Return the options of the words of a command line; SystemExit for help and for what is refused."""
+    # rospy.myargv would load rospy; argparse takes "-30,5" for an option, and says nothing of its comma
+    words = [f" {word}" if re.match(r"-\.?\d.*,", word) else word for word in words if ":=" not in word]
+    command_line = parser(os.environ.get("ROS_NAMESPACE", "").strip("/") or "kr120")
+    options = command_line.parse_args(words)
+    if problem := check(options):
+        command_line.error(problem)
+    return options
 
 
 def parser(robot: str) -> argparse.ArgumentParser:

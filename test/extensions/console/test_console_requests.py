@@ -31,7 +31,7 @@ from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.plan import Clearance
-from construction_twin.ros.messages.plan_services import PLAN_SERVICES
+from construction_twin.ros.messages.services import PLAN_SERVICES
 from construction_twin.views.reachability import PoseVerdict, Reach
 
 JOINTS = Joints(("joint_a1", "track"), (False, True))

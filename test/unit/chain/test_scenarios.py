@@ -41,7 +41,7 @@ from construction_twin.robot.plan import Plan
 from construction_twin.ros.commands.experiment import RestDetector
 from construction_twin.ros.commands.scenario import print_verdict
 from construction_twin.ros.nodes.executor import BACKGROUND_PERIOD
-from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.ros.nodes.rsi_gateway import gateway_config
 from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, ScenarioError, Step, make_scenario
 from construction_twin.scenario.judge import Judgement, judge
 from construction_twin.scenario.timeline import Change, GatewayStop, Run, SyncMoment

@@ -24,7 +24,7 @@ from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import Fault
 from construction_twin.mock.program import MockSettings, build_controller, build_forward_kinematics, gateway_address
 from construction_twin.mock.servo import IdealServo
-from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.ros.nodes.rsi_gateway import gateway_config
 
 
 @contextmanager

@@ -269,7 +269,7 @@ def test_a_damaged_bag_is_read_or_refused(tmp_path, seed):
 
 def test_a_folder_that_takes_no_files_is_found_before_anything_is_computed(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(
-        "construction_twin.ros.commands.bag_report.read_recording", lambda *_: pytest.fail("computed first")
+        "construction_twin.ros.commands.evaluate.read_recording", lambda *_: pytest.fail("computed first")
     )
     (tmp_path / "file").write_text("in the way")
     for folder in (tmp_path / "file", tmp_path / "file" / "results", "/proc/results"):

@@ -13,7 +13,7 @@ import yaml
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.gateway.config import GatewayConfig, load_config, parse_config
 from construction_twin.robot.description import AxisMapping, read_robot_files
-from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.ros.nodes.rsi_gateway import gateway_config
 from construction_twin.rsi.ethernet_xml import EthernetXmlError
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -12,7 +12,7 @@ from tool_cell import LAYOUT, TOOL, ToolCell, switched_off_on_stop
 from construction_twin.controller.tool import ToolOutput
 from construction_twin.gateway.config import parse_config
 from construction_twin.robot.description import read_robot_files
-from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.ros.nodes.rsi_gateway import gateway_config
 from construction_twin.rsi.ethernet_xml import EthernetXmlError
 from construction_twin.rsi.make import check_tool
 

@@ -15,11 +15,11 @@ from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.commands.experiment import ExperimentSettings
 from construction_twin.ros.nodes.executor import Settings as ExecutorSettings
 from construction_twin.ros.nodes.mqtt_bridge import Settings as BridgeSettings
+from construction_twin.ros.nodes.neighbour import NeighbourSettings
 from construction_twin.ros.nodes.pca_monitor import Settings as MonitorSettings
 from construction_twin.ros.nodes.planner import Settings as PlannerSettings
+from construction_twin.ros.nodes.rsi_gateway import gateway_config
 from construction_twin.ros.nodes.tool_marker import Settings as MarkerSettings
-from construction_twin.ros.shared.arm_listener import NeighbourSettings
-from construction_twin.ros.shared.gateway_config import gateway_config
 
 ROOT = Path(__file__).parents[3]
 

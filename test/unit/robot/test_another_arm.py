@@ -15,7 +15,7 @@ from construction_twin.mock.program import MockSettings, build_controller
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.launch_parameters import home_positions
-from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.ros.nodes.rsi_gateway import gateway_config
 from construction_twin.scene.self_collision import read_self_collision
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -21,7 +21,7 @@ from construction_twin.mock.program import MockSettings, build_controller
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.planning.timing import time_path
 from construction_twin.robot.description import read_robot_files
-from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.ros.nodes.rsi_gateway import gateway_config
 from construction_twin.scenario.judge import trace_excesses
 
 ROOT = Path(__file__).resolve().parents[3]

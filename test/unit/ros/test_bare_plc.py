@@ -25,7 +25,7 @@ from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import Topics
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.nodes.mqtt_bridge import NODE, MqttBridge, Settings
-from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.ros.nodes.rsi_gateway import gateway_config
 
 ROBOT = read_robot_files(ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml")
 CODEC = JointStringCodec.of(ROBOT, 3)

@@ -9,7 +9,7 @@ import pytest
 import rospy
 
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.ros.transport import cycle as module
+from construction_twin.ros.transport import joint_stream as module
 
 
 class Clocks:

@@ -22,7 +22,6 @@ from construction_twin.monitor.states import SyncEvent, SyncState
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.ros.nodes import pca_monitor as module
 from construction_twin.ros.shared.diagnostics import OK, Diagnosis
-from construction_twin.ros.shared.saved_parameter import PARAMETER
 from construction_twin.ros.transport.joint_stream import from_time, to_time
 from construction_twin.servo.model import JointServo, ServoModel
 
@@ -77,7 +76,7 @@ class World:
         self.patch(rospy, "ServiceProxy", lambda *_: self.plan_to_joints)
         ports = SimpleNamespace(
             publishers=self.publishers if sync is None else self.publishers | {"sync": sync},
-            parameters={PARAMETER: self.parameters.get(PARAMETER, "")},
+            parameters={module.STOPPED: self.parameters.get(module.STOPPED, "")},
             parameter_writer=lambda name: lambda value: self.parameters.update({name: value}),
             diagnostics=SimpleNamespace(refuse=lambda *said: self.refused.append(said)),
         )
@@ -400,7 +399,7 @@ class TestStopped:
         ports = SimpleNamespace(
             publishers={each.topic: world.topic(each.topic) for each in module.INTERFACE.publishes},
             diagnostics=SimpleNamespace(refuse=lambda *said: None),
-            parameters={each.name: each.default for each in module.INTERFACE.parameters} | {PARAMETER: "s1"},
+            parameters={each.name: each.default for each in module.INTERFACE.parameters} | {module.STOPPED: "s1"},
             parameter_writer=lambda name: lambda session: None,
         )
         given = {"arm": "mock", "servo_model": "", "decimals": 3, "transition_file": str(tmp_path / "t.jsonl")}

@@ -18,9 +18,7 @@ from construction_twin.robot.segments import Segment
 from construction_twin.ros.messages.convert import plan_to_msg
 from construction_twin.ros.messages.scene_convert import scene_to_msg
 from construction_twin.ros.nodes import neighbour as module
-from construction_twin.ros.nodes.neighbour import NeighbourNode
-from construction_twin.ros.shared import arm_listener
-from construction_twin.ros.shared.arm_listener import ArmListener, OtherArm
+from construction_twin.ros.nodes.neighbour import ArmListener, NeighbourNode, OtherArm
 from construction_twin.ros.shared.diagnostics import OK, WARN
 from construction_twin.ros.transport.joint_stream import to_time
 from construction_twin.scene.neighbour import Neighbour
@@ -41,7 +39,7 @@ class Arm:
         self._takes: dict[str, object] = {}
         self.refused: list[tuple[str, str]] = []
         monkeypatch.setattr(
-            arm_listener, "Subscriber", lambda topic, _kind, take, *_, **__: self._takes.update({topic: take})
+            module, "Subscriber", lambda topic, _kind, take, *_, **__: self._takes.update({topic: take})
         )
         self.listener = ArmListener(dataclasses.replace(ROBOT, name=name), "/", lambda *said: self.refused.append(said))
         self._name = name
@@ -197,7 +195,7 @@ def test_before_the_first_word_of_an_executor_nothing_starts(bench, monkeypatch)
     silent = ArmListener(ROBOT, "/", lambda *_: None)
     silent.scene = SceneValue((), 0.0)
     stands = OtherArm(silent, (), Neighbour("b", ROBOT, BESIDE))
-    with pytest.raises(arm_listener.NeighbourUnknownError, match="executor"):
+    with pytest.raises(module.NeighbourUnknownError, match="executor"):
         stands.occupied()
 
 

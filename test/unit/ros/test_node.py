@@ -23,9 +23,9 @@ import yaml
 from ros_master import Server, ros_master
 
 from construction_twin.robot.urdf import expand_xacro
+from construction_twin.ros.nodes.neighbour import await_robot
 from construction_twin.ros.shared import node as module
 from construction_twin.ros.shared import start_refusal
-from construction_twin.ros.shared.arm_listener import await_robot
 
 ROOT = Path(__file__).resolve().parents[3]
 BEGIN = """

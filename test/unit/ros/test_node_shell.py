@@ -16,6 +16,7 @@ from unplugged import Unplugged
 
 from construction_twin.core.errors import ConfigurationError, PoseUnknownError
 from construction_twin.ros import nodes
+from construction_twin.ros.messages.services import Outcome
 from construction_twin.ros.shared import node_shell as module
 from construction_twin.ros.shared.diagnostics import OK, Diagnosis
 from construction_twin.ros.shared.node_shell import (
@@ -30,7 +31,6 @@ from construction_twin.ros.shared.node_shell import (
     SharedParameter,
     Subscription,
 )
-from construction_twin.ros.shared.outcome import Outcome
 
 ROOT = Path(__file__).resolve().parents[3]
 

@@ -16,8 +16,7 @@ from rospy.impl import tcpros_base
 from std_srvs.srv import Trigger, TriggerResponse
 
 from construction_twin.core.errors import RequestRefused, SilenceError
-from construction_twin.ros.shared import operator_client
-from construction_twin.ros.shared.operator_client import OperatorClient
+from construction_twin.ros.shared.robot_client import OperatorClient
 from construction_twin.ros.transport.persistent_service import PersistentService
 
 
@@ -211,7 +210,7 @@ class TestClient:
 
     def test_where_there_is_no_answer_it_is_tried_the_ordinary_way(self, world, monkeypatch):
         warned = []
-        monkeypatch.setattr(operator_client.rospy, "logwarn", lambda *words: warned.append(words))
+        monkeypatch.setattr(rospy, "logwarn", lambda *words: warned.append(words))
 
         def nobody(*_):
             raise rospy.ROSException("timeout")

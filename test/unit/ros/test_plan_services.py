@@ -6,8 +6,7 @@ import rospy
 from construction_twin.srv import PlanToPose, PlanToPoseRequest, ReviewPlan
 
 from construction_twin.link.requests import GOALS, GoalRequest, ReviewRequest
-from construction_twin.ros.messages.plan_services import PLAN_SERVICES, request_fields
-from construction_twin.ros.shared.outcome import Outcome
+from construction_twin.ros.messages.services import PLAN_SERVICES, Outcome, request_fields
 
 
 def test_every_kind_of_request_has_a_service_that_takes_its_fields():

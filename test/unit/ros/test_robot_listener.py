@@ -9,8 +9,8 @@ import pytest
 from construction_twin.msg import Execution, Link, Plan, Review, Sync
 from executor_bench import ROBOT, make_plan
 
-from construction_twin.ros.shared import robot_listener as module
-from construction_twin.ros.shared.robot_listener import RobotListener
+from construction_twin.ros.shared import robot_client as module
+from construction_twin.ros.shared.robot_client import RobotListener
 
 
 class World:

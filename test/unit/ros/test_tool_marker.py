@@ -14,9 +14,9 @@ from visualization_msgs.msg import InteractiveMarker, InteractiveMarkerFeedback
 
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.link.requests import GoalRequest, ReviewRequest
+from construction_twin.ros.messages.services import Outcome
 from construction_twin.ros.nodes.tool_marker import MarkerServer
 from construction_twin.ros.shared import tool_marker_menu as module
-from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.tool_marker_menu import REACHED, SHOWN, ToolMarkerMenu, moved
 
 

@@ -25,7 +25,7 @@ from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.commands import twin as twin_cli
 from construction_twin.ros.commands.preflight import LaunchParameters
 from construction_twin.ros.messages.records import to_msg
-from construction_twin.ros.shared.outcome import Outcome
+from construction_twin.ros.messages.services import Outcome
 from construction_twin.views.arguments import Exit, parser
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -16,7 +16,7 @@ from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.execution.executor import TWIN_TIMEOUT
 from construction_twin.extensions.physics.nodes import simulated_twin
 from construction_twin.ros.nodes import virtual_robot as module
-from construction_twin.ros.transport import cycle
+from construction_twin.ros.transport import joint_stream
 from construction_twin.scene.objects import Scene
 from construction_twin.twin.virtual_robot import SILENCE
 
@@ -42,9 +42,9 @@ class World:
         self.published: list[tuple[int, int]] = []
         self.cycles, self._thread = 0, threading.get_ident()
         patch = monkeypatch.setattr
-        patch(cycle, "now_ns", lambda: self.wall)
+        patch(joint_stream, "now_ns", lambda: self.wall)
         patch(module, "now_ns", lambda: self.wall)
-        patch(cycle, "time", SimpleNamespace(monotonic_ns=lambda: self.steady, sleep=self.sleep))
+        patch(joint_stream, "time", SimpleNamespace(monotonic_ns=lambda: self.steady, sleep=self.sleep))
         patch(rospy, "is_shutdown", self.is_over)
         patch(rospy, "loginfo", lambda *_: None)
         self.restarted = SimpleNamespace(clear=self.clear, set=self.wake, wait=self.wait)

@@ -13,8 +13,7 @@ from scene_samples import kr120, track7
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.robot.frames import rotation_to_abc
-from construction_twin.ros.commands.twin_line import main
-from construction_twin.views.arguments import Exit, check, parser
+from construction_twin.views.arguments import Exit, check, parser, read_command_line
 from construction_twin.views.goals import joint_goal, pose_goal
 
 ANGLES = st.floats(-89.0, 89.0)
@@ -98,6 +97,6 @@ def test_a_pose_inside_of_the_robot_s_foot_is_refused_as_probably_metres_and_nev
 def test_a_comma_is_refused_and_not_taken_for_two_values(capsys):
     for words in ("30,5 -75,0 70,5", "30,5 -75 70 20 70 -40", "-30,-75,70,0,45,0", "-.5,1"):
         with pytest.raises(SystemExit):
-            main(["plan", "--joints", *words.split()])
+            read_command_line(["plan", "--joints", *words.split()])
         assert f"'{words.split()[0]}' holds a comma: write decimals with a point" in capsys.readouterr().err
     assert parsed("plan --joints -30.0 -75 +70 2e1 70. -40").joints == [-30.0, -75.0, 70.0, 20.0, 70.0, -40.0]

@@ -26,7 +26,7 @@ from construction_twin.kinematics.inverse import inverse_kinematics
 from construction_twin.robot.description import ESTIMATES, RobotModel, load_robot, other_joints_text, read_robot_files
 from construction_twin.robot.new_robot import find_ends, new_description, robot_name, robot_yaml, with_home
 from construction_twin.robot.urdf import expand_xacro, read_text, xacro_arguments
-from construction_twin.ros.shared.gateway_config import gateway_config
+from construction_twin.ros.nodes.rsi_gateway import gateway_config
 from construction_twin.scene import self_collision_command
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.home import Home, find_home

@@ -45,8 +45,7 @@ from construction_twin.evaluation.tables import table_console
 from construction_twin.gateway.trace import read_trace
 from construction_twin.msg import Execution, Link, Plan, Sync, Transition
 from construction_twin.robot.description import RobotModel
-from construction_twin.ros.commands.experiment import RestDetector
-from construction_twin.ros.commands.recorder import Recorder
+from construction_twin.ros.commands.experiment import Recorder, RestDetector
 from construction_twin.ros.shared.diagnostics import warn_of_refusals
 from construction_twin.ros.shared.master import await_master
 from construction_twin.ros.shared.node import ending_on_signals

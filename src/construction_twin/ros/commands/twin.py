@@ -1,4 +1,4 @@
-"""The command `twin`, whose options `twin_line` reads. A step imports what it alone needs: `twin stop` loads no planner."""
+"""The command `twin`, whose options `views.arguments` reads. A step imports what it alone needs: `twin stop` loads no planner."""
 
 from __future__ import annotations
 
@@ -22,13 +22,11 @@ from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.msg import Execution, Rehearsal, Scene
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.plan import BY_ACTION, Plan
-from construction_twin.ros.messages.plan_services import pose_fields
 from construction_twin.ros.messages.scene_convert import scene_from_msg
+from construction_twin.ros.messages.services import Outcome, pose_fields
 from construction_twin.ros.shared.master import TO_DO, await_master, expect_publisher, publishing_nodes
-from construction_twin.ros.shared.operator_client import OperatorClient
-from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import robot_from_parameters
-from construction_twin.ros.shared.robot_listener import RobotListener
+from construction_twin.ros.shared.robot_client import OperatorClient, RobotListener
 from construction_twin.views.arguments import TRIGGERS, Exit
 from construction_twin.views.goals import joint_goal, pose_goal
 from construction_twin.views.texts import caller_line, plan_lines, scene_lines, status_lines, watch_lines
@@ -104,7 +102,7 @@ class Command:
         return Exit.DONE
 
     def _gateway(self) -> Exit:
-        from construction_twin.ros.shared.gateway_config import config_from_parameters
+        from construction_twin.ros.nodes.rsi_gateway import config_from_parameters
 
         config = config_from_parameters(f"{self._namespace}/")
         layout, make = config.layout, config.make

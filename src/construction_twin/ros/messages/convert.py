@@ -1,4 +1,4 @@
-"""Trajectories, plans, segments and poses as messages, and back; without loss."""
+"""Trajectories, plans, segments, poses, tool and engagement as messages, and back; without loss. No parameters, no clock."""
 
 from __future__ import annotations
 
@@ -11,13 +11,18 @@ from geometry_msgs.msg import Point, Quaternion, Transform
 from geometry_msgs.msg import Pose as PoseMsg
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import parse_moment
+from construction_twin.core.reports import SwitchReport, SwitchState, ToolReport
 from construction_twin.core.units import NANOSECONDS
+from construction_twin.execution.engagement import Engagement
+from construction_twin.execution.segment_run import ToolOrder
 from construction_twin.kinematics.chain import Pose
+from construction_twin.msg import Engagement as EngagementMsg
 from construction_twin.msg import Plan as PlanMsg
 from construction_twin.msg import Segment as SegmentMsg
 from construction_twin.msg import Signal as SignalMsg
-from construction_twin.msg import ToolSwitch
+from construction_twin.msg import ToolCommand, ToolState, ToolSwitch
 from construction_twin.msg import WorkSegment as WorkSegmentMsg
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.frames import quaternion_to_rotation, rotation_to_quaternion
@@ -25,8 +30,9 @@ from construction_twin.robot.motion_errors import TrajectoryError
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
 from construction_twin.robot.segments import Segment, Signal, Switch
 from construction_twin.robot.trajectory import Trajectory
-from construction_twin.ros.messages.records import from_msg, to_msg
+from construction_twin.ros.messages.records import from_msg, sentence_of, to_msg, with_sentences
 from construction_twin.ros.messages.scene_convert import object_from_msg, object_to_msg
+from construction_twin.ros.transport.joint_stream import to_time
 from construction_twin.scene.scene_change import SceneChange
 
 #: What a plan and its message have alike.
@@ -177,3 +183,67 @@ def _vector(msg) -> np.ndarray:
 
 def _quaternion(msg) -> tuple[float, float, float, float]:
     return msg.x, msg.y, msg.z, msg.w
+
+
+def tool_report_from_msg(msg: ToolState) -> ToolReport:
+    """Return the report; PayloadError where lists that belong together differ in length, or a state is unknown."""
+    together = (
+        ("inputs", msg.inputs, msg.input_values),
+        ("outputs", msg.outputs, msg.output_values),
+        ("switches", msg.switch_ids, msg.switch_states),
+        ("reasons of switches", msg.switch_ids, msg.switch_reasons),
+    )
+    for what, names, values in together:
+        if len(names) != len(values):
+            raise PayloadError("tool", f"{len(names)} {what} have {len(values)} values; expected as many")
+    try:
+        states = [SwitchState(state) for state in msg.switch_states]
+    except ValueError as error:
+        raise PayloadError("tool", f"{error}; expected the state of a switch as in ToolState.msg") from error
+    return ToolReport(
+        known=msg.known,
+        tool=msg.tool,
+        outputs=dict(zip(msg.outputs, map(bool, msg.output_values))),
+        inputs=dict(zip(msg.inputs, map(bool, msg.input_values))),
+        switches=dict(
+            zip(msg.switch_ids, map(SwitchReport, states, (sentence_of(msg, why) for why in msg.switch_reasons)))
+        ),
+        reason=sentence_of(msg, msg.reason),
+    )
+
+
+def tool_report_to_msg(report: ToolReport, stamp: genpy.Time) -> ToolState:
+    """Return the message."""
+    message = ToolState(known=report.known, tool=report.tool, reason=report.reason)
+    message.header.stamp = stamp
+    message.outputs, message.output_values = list(report.outputs), list(report.outputs.values())
+    message.inputs, message.input_values = list(report.inputs), list(report.inputs.values())
+    message.switch_ids = list(report.switches)
+    message.switch_states = [switch.state.value for switch in report.switches.values()]
+    message.switch_reasons = [switch.reason for switch in report.switches.values()]
+    return with_sentences(message, report)
+
+
+def order_to_msg(order: ToolOrder) -> ToolCommand:
+    """Return the message, without its stamp."""
+    switch = order.switch
+    if switch is None:
+        return ToolCommand(verb=ToolCommand.VOID, plan_id=order.plan_id)
+    armed = {"id": order.id, "plan_id": order.plan_id, "stamp": to_time(order.stamp)}
+    return ToolCommand(verb=ToolCommand.ARM, output=switch.output, value=switch.value, **armed)
+
+
+def engagement_to_msg(engagement: Engagement | None, tool: ToolReport) -> EngagementMsg:
+    """Return the message, without its stamp; None: the arm is not engaged."""
+    if engagement is None:
+        return EngagementMsg(engaged=False)
+    requires = engagement.requires(tool)
+    message = EngagementMsg(
+        engaged=True,
+        **{name: getattr(engagement, name) for name in ("plan_id", "task", "segment", "reason")},
+        trajectory=trajectory_to_msg(engagement.path.trajectory),
+        end=engagement.path.end,
+        requires=[to_msg(signal, SignalMsg) for signal in requires],
+        scenes=list(engagement.scenes_of(requires)),
+    )
+    return with_sentences(message, engagement.reason)

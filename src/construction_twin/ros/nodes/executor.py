@@ -34,14 +34,12 @@ from construction_twin.review.record import Responsibility, ReviewLog
 from construction_twin.review.rehearsal_report import RehearsalCheck, RehearsalReport, is_whole
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.tool import tool_hash
-from construction_twin.ros.messages.convert import plan_from_msg
+from construction_twin.ros.messages.convert import engagement_to_msg, order_to_msg, plan_from_msg, tool_report_from_msg
 from construction_twin.ros.messages.records import from_msg, sentence_of, to_msg
-from construction_twin.ros.messages.tool import engagement_to_msg, order_to_msg, tool_report_from_msg
 from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, DeferredLog, Diagnosis
 from construction_twin.ros.shared.params import NodeSettings, robot_file
-from construction_twin.ros.transport.cycle import Cycles
-from construction_twin.ros.transport.joint_stream import from_time, now_ns
+from construction_twin.ros.transport.joint_stream import Cycles, from_time, now_ns
 from construction_twin.ros.transport.subscriber import caller_of
 
 #: The gate counts as closed this long after the monitor's last word; it speaks at its `SYNC_RATE` [ns].

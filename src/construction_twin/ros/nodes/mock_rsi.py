@@ -20,9 +20,9 @@ from construction_twin.mock.faults import KINDS, Fault
 from construction_twin.mock.network import MockRsi
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, gateway_address, joint_angles
 from construction_twin.robot.description import RobotModel
+from construction_twin.ros.messages.services import Outcome
 from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Diagnosis
-from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.srv import InjectFault, InjectFaultRequest
 

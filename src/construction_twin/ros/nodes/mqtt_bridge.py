@@ -30,14 +30,14 @@ from construction_twin.mqtt.messages import PLC, BridgeStatus, Control, Topics
 from construction_twin.msg import Execution, Feedback, Link, SpeedLimitInForce, Sync, ToolCommand, ToolState
 from construction_twin.msg import SessionRequest as SessionRequestMessage
 from construction_twin.robot.description import RobotModel
+from construction_twin.ros.messages.convert import tool_report_to_msg
 from construction_twin.ros.messages.records import to_msg
-from construction_twin.ros.messages.tool import tool_report_to_msg
+from construction_twin.ros.messages.services import Outcome
+from construction_twin.ros.nodes.rsi_gateway import config_of_link
 from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import OK, WARN, DeferredLog, Diagnosis
-from construction_twin.ros.shared.gateway_config import config_of_link
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, connect, connection_log
-from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.saved_parameter import SavedParameter
+from construction_twin.ros.shared.params import SavedParameter
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.srv import ActAsSeen, ActAsSeenRequest
 

@@ -29,11 +29,16 @@ from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.records import to_msg
+from construction_twin.ros.messages.services import Outcome
 from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, DeferredLog, Diagnosis
-from construction_twin.ros.shared.outcome import Outcome
-from construction_twin.ros.shared.params import NodeSettings, robot_file, ros_home, settings_of
-from construction_twin.ros.shared.saved_parameter import PARAMETER, SavedParameter
+from construction_twin.ros.shared.params import (
+    NodeSettings,
+    SavedParameter,
+    robot_file,
+    ros_home,
+    settings_of,
+)
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.servo.model import read_servos
@@ -44,8 +49,9 @@ SETPOINTS_KEPT = 25
 FEEDBACK_KEPT = 50
 #: How long transitions wait for their file [s].
 WRITE_PERIOD = 0.1
-#: Parameter of the robot: what holds while the program that was heard is silent, and its name. The launch file clears it.
-PROGRAM = "speed_limit_program"
+#: Parameters of the robot, which the launch file clears: the session that a violation has stopped; the limit while the program that
+#: set one is silent, and its name.
+STOPPED, PROGRAM = "stopped_session", "speed_limit_program"
 #: Between two messages of the limit in force, well below `speed_limit_deadline`, and between two tries to write a file [s].
 LIMIT_PERIOD, LIMIT_AGAIN = 0.05, 0.5
 #: So long the answer to a lower limit, which acts already, waits for the disk [s]: one that hangs holds up no lower one.
@@ -183,7 +189,7 @@ class PcaMonitorNode:
         # without an arm there is no broker, and nobody could raise what was set before
         has = shell.has_arm(settings)
         limits_file = ros_home() / "construction_twin" / "speed_limits" / f"{robot.name}.json" if has else None
-        stopped_in, now = node_io.parameters[PARAMETER] if has else "", time.monotonic_ns()
+        stopped_in, now = node_io.parameters[STOPPED] if has else "", time.monotonic_ns()
         self._names, self._publishers, self._diagnostics = robot.joint_names, node_io.publishers, node_io.diagnostics
         self._command = node_io.publishers["command/joint_states"]
         # without a model of the arm's servos nothing is expected
@@ -194,7 +200,7 @@ class PcaMonitorNode:
         rospy.loginfo("transitions are recorded in %s", transitions)
         self._transitions = TransitionLog(transitions, robot.joint_names)
         self._plan_to_joints = rospy.ServiceProxy("plan_to_joints", srv.PlanToJoints)
-        self._saved_stop = SavedParameter(stopped_in, node_io.parameter_writer(PARAMETER))
+        self._saved_stop = SavedParameter(stopped_in, node_io.parameter_writer(STOPPED), STOPPED)
         self.speed = SpeedLimitService(limits_file, node_io)
         self._lock = threading.Lock()
         self._received_at = 0
@@ -400,7 +406,7 @@ def check(settings: Settings, robot: RobotModel, shared: shell.Shared) -> None:
 INTERFACE = shell.Interface(
     diagnose=PcaMonitorNode.diagnose,
     parameters=(
-        shell.SharedParameter(PARAMETER, "", written=True),
+        shell.SharedParameter(STOPPED, "", written=True),
         shell.SharedParameter("executor", {}),
         shell.SharedParameter("gateway"),
         shell.SharedParameter(PROGRAM, "", written=True),

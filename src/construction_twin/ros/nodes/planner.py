@@ -40,11 +40,11 @@ from construction_twin.ros.messages.convert import (
 )
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
+from construction_twin.ros.messages.services import Outcome
+from construction_twin.ros.nodes.neighbour import OtherArm, await_robot, listen_to_other_arm, neighbour_settings
 from construction_twin.ros.shared import node_shell as shell
-from construction_twin.ros.shared.arm_listener import OtherArm, await_robot, listen_to_other_arm, neighbour_settings
 from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
-from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import product

@@ -19,10 +19,10 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.ros.messages.convert import pose_from_msg
 from construction_twin.ros.messages.scene_convert import object_from_msg, scene_markers, scene_to_msg
+from construction_twin.ros.messages.services import Outcome
 from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
-from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import PrivateSettings, ros_home
 from construction_twin.ros.transport.publisher import AnyPublisher
 from construction_twin.scene.collision_bodies import RobotBodies

@@ -24,7 +24,7 @@ from construction_twin.robot.description import RobotModel, other_joints_text
 from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Diagnosis, warn_of_refusals
 from construction_twin.ros.shared.params import PrivateSettings
-from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
+from construction_twin.ros.shared.robot_client import REPORTS, RobotListener
 from construction_twin.ros.shared.start_refusal import RESTART_DELAY, TOPIC, launch_id
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
 from construction_twin.views.startup import Deployment, ReportedState, StartUp, StartupInputs

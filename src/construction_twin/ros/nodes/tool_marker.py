@@ -36,9 +36,8 @@ from construction_twin.ros.messages.convert import pose_from_msg, pose_to_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_frame
 from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
-from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.params import PrivateSettings
-from construction_twin.ros.shared.robot_listener import REPORTS, RobotListener
+from construction_twin.ros.shared.robot_client import REPORTS, OperatorClient, RobotListener
 from construction_twin.ros.shared.tool_marker_menu import ToolMarkerMenu, moved
 from construction_twin.ros.transport.subscriber import PUBLISHER, caller_of
 from construction_twin.scene.collision_world import CollisionWorld

@@ -19,8 +19,7 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
 from construction_twin.ros.shared.params import NodeSettings
-from construction_twin.ros.transport.cycle import Cycles
-from construction_twin.ros.transport.joint_stream import now_ns, to_time
+from construction_twin.ros.transport.joint_stream import Cycles, now_ns, to_time
 from construction_twin.twin.virtual_robot import GazeboTwin, KinematicBackend, TwinBackend, TwinClock, VirtualRobot
 
 #: Between two reads of the arm's stream while the twin needs nothing from it [s].

@@ -16,9 +16,9 @@ from sensor_msgs.msg import JointState
 from construction_twin.core.errors import ConstructionTwinError, ExpiredError, ProtocolError
 from construction_twin.core.freshness import TOO_OLD
 from construction_twin.robot.description import RobotModel
+from construction_twin.ros.messages.services import Outcome
 from construction_twin.ros.shared.diagnostics import WARN, Diagnosis, NodeDiagnostics
 from construction_twin.ros.shared.node import Service, run_node
-from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import Parameters, Settings, read_parameters, robot_from_parameters
 from construction_twin.ros.shared.start_refusal import expect_own_parameters, refuse
 from construction_twin.ros.transport.joint_stream import QUEUE, JointPublisher, JointSubscriber

@@ -1,9 +1,10 @@
-"""Parameters read once at start, checked as a whole, into one immutable object."""
+"""Parameters, read once at start and checked as a whole, and values saved for the process after this one."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+import threading
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,6 +12,7 @@ import pydantic
 import rospy
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.core.validation import configuration_error
 from construction_twin.robot.description import RobotModel, load_robot
 
@@ -64,3 +66,43 @@ def robot_file(path: str, robot: str) -> Path:
 def ros_home() -> Path:
     """Return the folder for a node's own files: environment variable ROS_HOME, by default ``~/.ros`` (as roslaunch does)."""
     return Path(os.environ.get("ROS_HOME") or Path.home() / ".ros")
+
+
+#: A write that failed is tried again after this time [ns].
+_RETRY = NANOSECONDS
+
+
+class SavedParameter:
+    """A text, "" for nothing, or a bool on the parameter server, written by a thread that may wait; `fault`: why it was not."""
+
+    def __init__(self, value: object, write: Callable[[Any], object], name: str):
+        self.fault = ""
+        self._name = name
+        self._write = write
+        self._written = value
+        self._writer: threading.Thread | None = None
+        self._tried_at: int | None = None
+
+    @property
+    def writing(self) -> bool:
+        """Whether a value is being written now."""
+        return self._writer is not None and self._writer.is_alive()
+
+    def save(self, value: object, now: int) -> None:
+        """Save a value; returns at once. To be called again and again, from one thread, `now` in ns."""
+        if value == self._written or self.writing:
+            return
+        if self._tried_at is not None and self.fault and now - self._tried_at < _RETRY:
+            return
+        self._tried_at = now
+        self._writer = threading.Thread(target=self._write_value, args=(value,), daemon=True)
+        self._writer.start()
+
+    def _write_value(self, value: object) -> None:
+        try:
+            # XML-RPC takes a plain text only
+            self._write(str(value) if isinstance(value, str) else value)
+        except Exception as error:  # noqa: BLE001 (sockets, HTTP and XML-RPC raise kinds of their own; each is told and tried again)
+            self.fault = f"{self._name} was not written, and what it says would not outlast this node ({error})"
+            return
+        self._written, self.fault = value, ""

@@ -16,9 +16,8 @@ from construction_twin.core.errors import ConstructionTwinError, RequestRefused
 from construction_twin.kinematics.chain import Pose
 from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.robot.plan import Plan
-from construction_twin.ros.messages.plan_services import pose_fields
-from construction_twin.ros.shared.operator_client import OperatorClient
-from construction_twin.ros.shared.outcome import Outcome
+from construction_twin.ros.messages.services import Outcome, pose_fields
+from construction_twin.ros.shared.robot_client import OperatorClient
 
 #: A tool that has moved less is not followed [m, and elements of the rotation].
 STILL = 1e-6

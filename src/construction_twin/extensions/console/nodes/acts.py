@@ -37,8 +37,7 @@ from construction_twin.mqtt.requests import (
     RAISE_SPEED,
     REVIEW,
 )
-from construction_twin.ros.messages.plan_services import request_fields
-from construction_twin.ros.shared.outcome import Outcome
+from construction_twin.ros.messages.services import Outcome, request_fields
 from construction_twin.ros.transport.persistent_service import PersistentService, call, call_twice
 from construction_twin.srv import ReviewPlan
 

@@ -29,7 +29,7 @@ from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import BRIDGE, PRESSED
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.tool import tool_hash
-from construction_twin.ros.messages.plan_services import PLAN_SERVICES
+from construction_twin.ros.messages.services import PLAN_SERVICES
 from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
 from construction_twin.ros.shared.mqtt_connection import MqttSettings, broker_of, check_broker
 from construction_twin.ros.shared.node_shell import (

@@ -31,9 +31,9 @@ from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.mqtt.messages import MAX_IDENTITY_BYTES, Topics, account_of, identity_of
 from construction_twin.mqtt.requests import RequestKind, answer_limits
+from construction_twin.ros.messages.services import Outcome
 from construction_twin.ros.shared.diagnostics import DeferredLog
 from construction_twin.ros.shared.mqtt_connection import connect, connection_log
-from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.transport.persistent_service import ServiceSilentError
 
 Reader: TypeAlias = "type[Request] | Callable[[dict[str, Any]], Any]"

@@ -62,7 +62,7 @@ from construction_twin.review.rehearsal_report import FAILED, PASSED, RehearsalR
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
-from construction_twin.ros.shared.outcome import Outcome
+from construction_twin.ros.messages.services import Outcome
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.scene.objects import Scene

@@ -24,8 +24,7 @@ from construction_twin.mqtt.requests import IK, NAMELESS_TRAJECTORY, PLAN_REQUES
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.frames import quaternion_to_rotation
 from construction_twin.robot.motion_errors import SceneError
-from construction_twin.ros.messages.plan_services import PLAN_SERVICES
-from construction_twin.ros.shared.outcome import Outcome
+from construction_twin.ros.messages.services import PLAN_SERVICES, Outcome
 from construction_twin.ros.transport.persistent_service import call
 from construction_twin.scene.objects import Scene
 from construction_twin.srv import PlanTrajectoryResponse

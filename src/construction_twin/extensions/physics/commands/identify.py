@@ -23,7 +23,7 @@ from construction_twin.extensions.physics.identification import (
     identify,
     servo_file,
 )
-from construction_twin.ros.commands.bag_report import bag_parser, report_bag
+from construction_twin.ros.commands.evaluate import bag_parser, report_bag
 from construction_twin.servo.model import PACE, STEADY
 
 #: An arm whose target has not changed for so long rests [ns].

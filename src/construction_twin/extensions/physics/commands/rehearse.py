@@ -27,7 +27,7 @@ from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
 from construction_twin.robot.tool import read_tool
 from construction_twin.robot.trajectory import Trajectory
-from construction_twin.ros.commands.bag_report import read_plans
+from construction_twin.ros.commands.evaluate import read_plans
 from construction_twin.scene.objects import Scene, tool_objects
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.views.rehearsal_table import rehearsal_table

@@ -26,8 +26,8 @@ from construction_twin.ros.commands.experiment import point_latest
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.shared.diagnostics import warn_of_refusals
 from construction_twin.ros.shared.node import ending_on_signals
-from construction_twin.ros.shared.operator_client import OperatorClient
 from construction_twin.ros.shared.params import Parameters, PrivateSettings, read_parameters
+from construction_twin.ros.shared.robot_client import OperatorClient
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import WorkDecide
 

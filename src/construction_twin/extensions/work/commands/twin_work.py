@@ -16,7 +16,7 @@ from construction_twin.link.requests import GoalRequest
 from construction_twin.msg import WorkTasks
 from construction_twin.ros.messages.convert import pose_to_msg
 from construction_twin.ros.messages.records import from_msg
-from construction_twin.ros.shared.operator_client import OperatorClient
+from construction_twin.ros.shared.robot_client import OperatorClient
 from construction_twin.srv import WorkDecide
 from construction_twin.views.arguments import Exit
 from construction_twin.views.goals import pose_goal

@@ -28,10 +28,16 @@ from construction_twin.extensions.work.work_progress import NoAnswer, UnderRevie
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.motion_errors import SceneError, TrajectoryError
-from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg, pose_from_msg, work_segment_to_msg
+from construction_twin.ros.messages.convert import (
+    change_from_msg,
+    plan_from_msg,
+    pose_from_msg,
+    tool_report_from_msg,
+    work_segment_to_msg,
+)
 from construction_twin.ros.messages.records import from_msg, to_msg
 from construction_twin.ros.messages.scene_convert import object_to_msg, scene_from_msg
-from construction_twin.ros.messages.tool import tool_report_from_msg
+from construction_twin.ros.messages.services import Outcome
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Diagnosis
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
 from construction_twin.ros.shared.node_shell import (
@@ -46,7 +52,6 @@ from construction_twin.ros.shared.node_shell import (
     Subscription,
     has_arm,
 )
-from construction_twin.ros.shared.outcome import Outcome
 from construction_twin.ros.shared.params import PrivateSettings, robot_file, ros_home
 from construction_twin.scene.objects import product
 from construction_twin.scene.scene_change import SceneChange

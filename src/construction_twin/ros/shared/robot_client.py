@@ -1,4 +1,4 @@
-"""Listens to one robot's reports and makes a `Snapshot` of them; used by command line, watch, marker and start-up."""
+"""One robot from outside: its reports as a `Snapshot`, and the services that an operator calls."""
 
 from __future__ import annotations
 
@@ -6,22 +6,28 @@ import threading
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import genpy
 import rospy
+from std_srvs.srv import Trigger
 
-from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.errors import ConstructionTwinError, RequestRefused, SilenceError
 from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SyncReport
+from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.msg import Execution, Hold, Link, Plan, PlanCaller, Review, Sync
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.plan import Plan as PlanValue
 from construction_twin.ros.messages.convert import change_from_msg, plan_from_msg
 from construction_twin.ros.messages.records import from_msg
+from construction_twin.ros.messages.services import PLAN_SERVICES, Outcome, request_fields
 from construction_twin.ros.shared.diagnostics import warn_of_refusals
+from construction_twin.ros.shared.master import expect_publisher
+from construction_twin.ros.transport.persistent_service import PersistentService
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.scene.scene_change import SceneChange
+from construction_twin.srv import ActAsSeen, PreviewPlan, ReviewPlan
 from construction_twin.views.texts import Snapshot
 
 _Report = TypeVar("_Report", LinkReport, SyncReport, HoldReport, ExecutionReport)
@@ -138,3 +144,72 @@ class RobotListener:
 
 def _record(kind: type[_Report], message: genpy.Message | None) -> _Report | None:
     return None if message is None else from_msg(kind, message)
+
+
+class OperatorClient:
+    """Calls the services of one robot; RequestRefused where the answer is no, SilenceError where there is none.
+
+    `timeout`: for the service to be there [s]; an answer may take longer. `source`: who asks, for the reviewer.
+    """
+
+    def __init__(self, namespace: str, timeout: float, source: str):
+        self._namespace = namespace.rstrip("/")
+        self._stop = PersistentService(f"{self._namespace}/stop", Trigger)
+        self._timeout = timeout
+        self._source = source
+
+    def plan(self, asked: GoalRequest) -> Outcome:
+        """Have a plan made."""
+        service = PLAN_SERVICES[asked.kind]
+        return self.ask(service.name, service.kind, **service.fields(asked, source=self._source))
+
+    def preview(self, speed: float = 1.0) -> Outcome:
+        """Let the ghost play the plan under review; 1: as fast as the plan."""
+        return self.ask("preview_plan", PreviewPlan, speed=speed, loop=False)
+
+    def review(self, verdict: ReviewRequest) -> Outcome:
+        """Approve (and so start) or reject a plan."""
+        return self.ask("review_plan", ReviewPlan, **request_fields(ReviewPlan, verdict))
+
+    def trigger(self, service: str) -> Outcome:
+        """Call `stop`, `pause`, `resume` or `reset`; a stop at once, without waiting for the service to appear."""
+        if service == "stop":
+            try:
+                return _done(self._stop())
+            except rospy.ServiceException as error:
+                rospy.logwarn("stop: no answer at once (%s); trying again", error)
+        return self.ask(service, Trigger)
+
+    def arm(self, responsible: str) -> Outcome:
+        """Arm a bare PLC in the name of the person who is responsible for what is not checked."""
+        return self.ask("mqtt_bridge/act_as_seen", ActAsSeen, act="arm", person=responsible)
+
+    def latched(self, name: str, kind: Any, silent: str, to_do: str) -> Any:
+        """Return what is latched on a topic of the robot; SilenceError when nothing is."""
+        topic = f"{self._namespace}/{name}"
+        expect_publisher(topic)
+        try:
+            return rospy.wait_for_message(topic, kind, self._timeout)
+        except rospy.ROSException as error:
+            raise SilenceError(topic, silent, to_do) from error
+
+    def ask(self, name: str, kind: Any, **fields: object) -> Outcome:
+        """Call any service of the robot."""
+        service = f"{self._namespace}/{name}"
+        try:
+            rospy.wait_for_service(service, self._timeout)
+        except rospy.ROSException as error:
+            problem = f"no node offers this service (waited {self._timeout:g} s)"
+            raise SilenceError(service, problem, "start bringup, or see why the node is down") from error
+        try:
+            return _done(rospy.ServiceProxy(service, kind)(**fields))
+        except rospy.ServiceException as error:
+            problem = f"the node gave no answer ({error})"
+            raise SilenceError(service, problem, "look at its log") from error
+
+
+def _done(answer: Any) -> Outcome:
+    outcome = Outcome.of(answer)
+    if not outcome.success:
+        raise RequestRefused(outcome.message)
+    return outcome

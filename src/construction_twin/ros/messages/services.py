@@ -1,9 +1,9 @@
-"""The services that make plans, by the kind of `GoalRequest`, for consoles, the command line and the marker in rviz."""
+"""What nodes ask of each other by service: the fields of requests, the services that make plans, and what became of a request."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from geometry_msgs.msg import Point, PoseStamped, Quaternion
@@ -15,6 +15,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.link.requests import GoalRequest
 from construction_twin.msg import CartesianWaypoint
 from construction_twin.robot.frames import rotation_to_quaternion
+from construction_twin.ros.messages.records import sentence_of, with_sentences
 from construction_twin.srv import PlanCartesian, PlanToJoints, PlanToPose, PlanTrajectory, WorkPlanTask
 
 
@@ -62,3 +63,29 @@ PLAN_SERVICES: Mapping[str, PlanService] = {
     "way_back": PlanService("plan_way_back", Trigger),
     "work_task": PlanService("work/plan", WorkPlanTask),
 }
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a request, by the names of the services' answers; `counted` as, "": as done or not."""
+
+    success: bool
+    message: str
+    expired: bool = False
+    fields: Mapping[str, object] = field(default_factory=dict)
+    counted: str = ""
+
+    @classmethod
+    def of(cls, answer: Any) -> Outcome:
+        """Return what became of a request by a service's answer; what it has no field for stays as it is without."""
+        known = {name: getattr(answer, name) for name in answer.__slots__ if name != "said"}
+        message = sentence_of(answer, known.pop("message"))
+        return cls(known.pop("success"), message, known.pop("expired", False), known)
+
+    def response(self, kind: Any) -> Any:
+        """Return the response of a kind of service; what it has no field for is left out."""
+        response = kind._response_class(success=self.success, message=self.message)
+        for name, value in {"expired": self.expired, **self.fields}.items():
+            if hasattr(response, name):
+                setattr(response, name, value)
+        return with_sentences(response, self.message)
