@@ -13,9 +13,9 @@ import rostest
 from construction_twin.msg import CartesianWaypoint, Execution, PlanOutcome, Scene, SceneObject
 from construction_twin.srv import (
     AddObject,
+    EditScene,
     PlanCartesian,
     PlanTrajectory,
-    RemoveObject,
 )
 from geometry_msgs.msg import Point, Pose, Quaternion
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -45,12 +45,12 @@ class MotionTest(RobotTest):
         cls.chain = Chain(cls.client.robot)
         cls.scenes: list[Scene] = []
         rospy.Subscriber("scene", Scene, cls.scenes.append)
-        for service in ("add_object", "clear_scene", "plan_cartesian", "plan_trajectory", "preview_plan", "pause"):
+        for service in ("add_object", "edit_scene", "plan_cartesian", "plan_trajectory", "preview_plan", "pause"):
             rospy.wait_for_service(service, 40.0)
 
     def setUp(self):
         self.begin()
-        self.assertTrue(self.client.call("clear_scene").success)
+        self.assertTrue(rospy.ServiceProxy("edit_scene", EditScene)(clear=True).success)
         self.client.go_to(HOME)
 
     def add_box(self, name: str, centre: tuple, size: tuple) -> str:
@@ -104,7 +104,7 @@ class MotionTest(RobotTest):
             self.assert_clear_of_the_wall(arm)
             self.assert_clear_of_the_wall(twin)
         self.client.wait_until_ready()
-        self.assertTrue(rospy.ServiceProxy("remove_object", RemoveObject)("wall").success)
+        self.assertTrue(rospy.ServiceProxy("edit_scene", EditScene)(remove=["wall"]).success)
 
     def assert_clear_of_the_wall(self, stream: Stream):
         """No point of the arm's centre line is inside the wall, and the arm came from the one side to the other."""

@@ -14,7 +14,7 @@ import numpy as np
 import rospy
 import rostest
 from construction_twin.msg import Feedback, SceneObject, Sync, Transition
-from construction_twin.srv import AddObject, AttachObject, DetachObject
+from construction_twin.srv import AddObject, AttachObject, DetachObject, EditScene
 from geometry_msgs.msg import Pose, Quaternion
 from sensor_msgs.msg import JointState
 from test_bringup import Rate
@@ -193,7 +193,7 @@ class PhysicsTwinTest(RobotTest):
                 self.assertLess(stamps.max(), 0.1)
         finally:
             rospy.ServiceProxy("detach_object", DetachObject)(name="cube")
-            self.client.call("clear_scene")
+            rospy.ServiceProxy("edit_scene", EditScene)(clear=True)
 
 
 if __name__ == "__main__":

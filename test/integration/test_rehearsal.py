@@ -8,7 +8,7 @@ from dataclasses import replace
 import rospy
 import rostest
 from construction_twin.msg import Rehearsal, SceneObject
-from construction_twin.srv import AddObject, AttachObject, DetachObject, RemoveObject
+from construction_twin.srv import AddObject, AttachObject, DetachObject, EditScene
 from geometry_msgs.msg import Point, Pose, Quaternion
 from twin_client import HOME, RIGHT, RehearsedClient, RobotTest, wait
 
@@ -79,7 +79,7 @@ class RehearsalTest(RobotTest):
             self.client.wait_until_ready()
         finally:
             rospy.ServiceProxy("detach_object", DetachObject)("block")
-            rospy.ServiceProxy("remove_object", RemoveObject)("block")
+            rospy.ServiceProxy("edit_scene", EditScene)(remove=["block"])
 
     def test_3_overload_fails_and_is_refused_until_a_person_overrides_it_by_name(self):
         with self.overloaded(HOME) as (plan, report):

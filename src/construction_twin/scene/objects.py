@@ -218,13 +218,6 @@ class Scene:
             raise SceneError("an object's name", item.name, expected)
         return self._with(replace(item, fixed=self.get(item.name).fixed))
 
-    def remove(self, name: str) -> Scene:
-        """Return the scene without the object of that name; raises like `get`.
-
-        Its name is also removed from what other objects may touch: a later object of that name is a different one.
-        """
-        return self.without((self.get(name).name,))
-
     def attach(self, name: str, link: str, pose: Pose, touch: Iterable[str] = ()) -> Scene:
         """Return the scene with the object carried by a link at `pose` in it; `touch` replaces the present one."""
         if not link:
@@ -239,12 +232,8 @@ class Scene:
             raise SceneError(f"object {name!r} link", item.link, expected)
         return self._with(item.moved(pose))
 
-    def clear(self) -> Scene:
-        """Return the scene with its fixed objects only; see `remove`."""
-        return self.without([item.name for item in self.objects if not item.fixed])
-
     def without(self, names: Iterable[str]) -> Scene:
-        """Return the scene without the objects of those names; see `remove`."""
+        """Return the scene without the objects of those names; others may touch them no more: a later one of a name is another."""
         gone = frozenset(names)
         kept = [item for item in self.objects if item.name not in gone]
         # what forgets nothing is not made anew: its mesh would be read again

@@ -255,7 +255,7 @@ def scene_of(one: TaskBoard, scene: Scene) -> Scene:
     wanted, alone = one.built.wanted_scene()
     wrong = scene_change(scene, wanted, alone)
     for name in wrong.remove:
-        scene = scene.remove(name)
+        scene = scene.without([name])
     for item in wrong.put:
         scene = scene.add(item, True)
     assert scene_change(scene, *one.built.wanted_scene()) == SceneChange()

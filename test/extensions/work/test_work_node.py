@@ -269,7 +269,7 @@ class TestEngaged:
         bench.ready()
         bench.noted.clear()
         bench.execution(Execution.IDLE, engaged=True)
-        bench.show(bench.scene.remove(f"{ELEMENT}/0"))
+        bench.show(bench.scene.without([f"{ELEMENT}/0"]))
         bench.run()
         assert bench.noted == []
         bench.execution(Execution.IDLE)

@@ -37,7 +37,7 @@ def test_a_grip_takes_every_piece_at_once():
 def test_what_stays_forgets_what_goes_and_what_comes_again_is_another_object():
     gone = SceneChange(remove=("stud/0",)).apply(SCENE)
     assert gone.get("rack").touch == ("tool0",)
-    assert gone.hash == SCENE.remove("stud/0").hash
+    assert gone.hash == SCENE.without(["stud/0"]).hash
     again = SceneChange(put=(STUD,), remove=("stud/0",)).apply(SCENE)
     assert again.get("rack").touch == ("tool0",) and again.get("stud/0") == STUD
     # put without removing it first keeps what others may touch
@@ -87,7 +87,7 @@ def test_it_is_the_same_as_one_edit_after_the_other(seed, put, remove):
     )
     expected = scene
     for name in change.remove:
-        expected = expected.remove(name)
+        expected = expected.without([name])
     for item in change.put:
         expected = expected.add(item, replace_existing=True)
     assert change.apply(scene).hash == expected.hash

@@ -9,7 +9,6 @@ from typing import Any
 
 import rosgraph
 import rospy
-from std_srvs.srv import Trigger, TriggerRequest
 from visualization_msgs.msg import MarkerArray
 
 from construction_twin import msg, srv
@@ -99,10 +98,6 @@ class SceneNode:
         scene = self._world.scene.add(item, request.replace)
         return scene, f"{'replaced' if known else 'added'} {item.shape} {item.name!r}"
 
-    def remove(self, request: srv.RemoveObjectRequest) -> tuple[Scene, str]:
-        """Take an object out."""
-        return self._world.scene.remove(request.name), f"removed {request.name!r}"
-
     def attach(self, request: srv.AttachObjectRequest) -> tuple[Scene, str]:
         """Let a link carry an object."""
         link = request.link or self._robot.tip_link
@@ -122,16 +117,13 @@ class SceneNode:
         pose = self._world.object_pose(self._twin.pose(_PATIENCE, _PATIENCE), name)
         return self._world.scene.detach(name, pose), f"put down {name!r}"
 
-    def clear(self, _request: TriggerRequest) -> tuple[Scene, str]:
-        """Take out all that is not fixed."""
-        cleared = self._world.scene.clear()
-        gone = [name for name in self._world.scene.names if name not in cleared.names]
-        return cleared, f"removed {', '.join(gone) or 'nothing'}; fixed objects stay"
-
     def change(self, request: srv.EditSceneRequest) -> tuple[Scene, str]:
         """Change several objects at once, from the scene that is named."""
-        wanted = SceneChange(tuple(map(object_from_msg, request.put)), tuple(request.remove))
-        return wanted.between(self._world.scene, request.before, request.after), str(wanted)
+        scene = self._world.scene
+        cleared = [item.name for item in scene.objects if request.clear and not item.fixed]
+        remove = [*cleared, *(name for name in request.remove if name not in cleared)]
+        wanted = SceneChange(tuple(map(object_from_msg, request.put)), tuple(remove))
+        return wanted.between(scene, request.before, request.after), str(wanted)
 
     def present_hash(self, _request) -> dict[str, object]:
         """Return what every answer about the scene tells: which one is the present one."""
@@ -224,8 +216,8 @@ def _scene_file(start: Scene, run: str) -> SceneFile:
     return SceneFile(ros_home() / f"{name}_edits.json", run, start)
 
 
-def _edit(name: str, kind: type, change: Callable[[SceneNode, Any], tuple[Scene, str]]) -> shell.Served:
-    return shell.Served(name, kind, lambda node, request: node.edit(change, request), refused=SceneNode.present_hash)
+def _edit(change: Callable[[SceneNode, Any], tuple[Scene, str]]) -> Callable[[SceneNode, Any], Outcome]:
+    return lambda node, request: node.edit(change, request)
 
 
 INTERFACE = shell.Interface(
@@ -239,12 +231,10 @@ INTERFACE = shell.Interface(
     polls=(shell.PolledPose("twin/joint_states"),),
     listeners=FRAMES,
     serves=(
-        _edit("add_object", srv.AddObject, SceneNode.add),
-        _edit("remove_object", srv.RemoveObject, SceneNode.remove),
-        _edit("attach_object", srv.AttachObject, SceneNode.attach),
-        _edit("detach_object", srv.DetachObject, SceneNode.detach),
-        _edit("clear_scene", Trigger, SceneNode.clear),
-        _edit("edit_scene", srv.EditScene, SceneNode.change),
+        shell.Served("add_object", srv.AddObject, _edit(SceneNode.add), refused=SceneNode.present_hash),
+        shell.Served("attach_object", srv.AttachObject, _edit(SceneNode.attach), refused=SceneNode.present_hash),
+        shell.Served("detach_object", srv.DetachObject, _edit(SceneNode.detach), refused=SceneNode.present_hash),
+        shell.Served("edit_scene", srv.EditScene, _edit(SceneNode.change), refused=SceneNode.present_hash),
     ),
     timers=(shell.NodeTimer(lambda _settings: CHECK_PERIOD, SceneNode.check),),
 )
