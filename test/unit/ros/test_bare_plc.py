@@ -9,11 +9,11 @@ import sys
 import threading
 import time
 from collections import deque
-from types import SimpleNamespace
 
 import pytest
 import rospy
 from bridge_bench import Refusals, open_node_io
+from construction_twin.srv import ActAsSeenRequest
 from processes import ROOT, BrokerProcess, wait_until
 from site_broker import Listener, SiteBroker
 from unplugged import ask
@@ -120,7 +120,7 @@ class Cell:
         def is_armed() -> bool:
             self.wait_for(LinkState.NEEDS_RESET)
             self.target = self.pose
-            answers.append(ask(NODE, self.bridge, "arm", SimpleNamespace(responsible="Ada")))
+            answers.append(ask(NODE, self.bridge, "~act_as_seen", ActAsSeenRequest(act="arm", person="Ada")))
             return answers[-1].success
 
         wait_until(is_armed, 30.0, "an armed PLC")
@@ -175,7 +175,7 @@ def test_a_person_arms_the_plc_it_follows_and_stops_on_silence(cell):
     cell.start_plc()
     cell.wait_for(LinkState.NEEDS_RESET)
     assert cell.pose == HOME
-    refused = ask(NODE, cell.bridge, "arm", SimpleNamespace(responsible=""), cell.refusals.refuse)
+    refused = ask(NODE, cell.bridge, "~act_as_seen", ActAsSeenRequest(act="arm", person=""), cell.refusals.refuse)
     assert not refused.success and "--responsible NAME" in refused.message
     assert "Ada is responsible for what is not checked: " in cell.arm()
     cell.turn(4.0)
