@@ -300,7 +300,8 @@ def noted(texts: Iterable[str], *parts: str) -> bool:
 
 def remarked(model: BuildingModel, one: Entity, *parts: str) -> bool:
     """Whether a remark on this element or task has all of these parts."""
-    return noted(model.remarks.get(one.GlobalId, ()), *parts)
+    named = [note for note in model.notes if (one.Name or one.GlobalId) in note or one.GlobalId in note]
+    return noted(named, *parts)
 
 
 def two_studs(schema="IFC4"):

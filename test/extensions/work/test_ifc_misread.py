@@ -197,7 +197,6 @@ def test_what_may_have_begun_is_a_job_with_a_remark(read, status, part):
         first.TaskTime = model.make("IfcTaskTime", Completion=part)
     found = read(model)
     assert len(Schedule.of(found).jobs) == 2 and remarked(found, first, "taken as still to be done")
-    assert noted(Schedule.of(found).remarks[first.GlobalId], "taken as still to be done")
 
 
 def test_where_a_part_is_above_1_none_says_completed(read):
@@ -408,43 +407,6 @@ def test_a_profile_that_crosses_itself_is_a_box_and_no_job_without_doubt(read, c
     assert box.is_closed
     assert (box.vertices.min(axis=0) <= [*np.min(corners, axis=0), 0.0]).all()
     assert (box.vertices.max(axis=0) >= [*np.max(corners, axis=0), 0.1]).all()
-
-
-@pytest.mark.parametrize(
-    "holes, pieces",
-    [
-        ([((0.2, 0.5, 0.5), (0.0, 0.0, -0.1))], 2),
-        ([((0.2, 0.5, 0.5), (-0.3, 0.0, -0.1)), ((0.2, 0.5, 0.5), (0.3, 0.0, -0.1))], 3),
-        # through half of its width, a cavity inside of it, off its end
-        ([((0.2, 0.1, 0.5), (0.0, 0.05, -0.1))], 1),
-        ([((0.2, 0.05, 0.05), (0.0, 0.0, 0.02))], 1),
-        ([((0.2, 0.5, 0.5), (0.5, 0.0, -0.1))], 1),
-    ],
-)
-def test_what_its_openings_cut_into_pieces_is_an_obstacle_and_told(read, holes, pieces):
-    model = IfcModel()
-    bar = model.box("bar", (1.0, 0.1, 0.1))
-    for size, at in holes:
-        model.opening(bar, size, at)
-    found = read(model)
-    element = found.elements[bar.GlobalId]
-    assert element.doubt == (
-        f"it is in {pieces} pieces that do not touch, after its openings; it stands as an obstacle"
-        if pieces > 1
-        else ""
-    )
-    assert remarked(found, bar, "the arm does not place it", "pieces that do not touch") == (pieces > 1)
-    # what was cut out is free
-    solid = sum(body.volume for body in element.bodies)
-    assert element.bodies and solid < 0.99 * 0.01 and (pieces > 1 or not element.doubt)
-
-
-def test_pieces_that_another_item_holds_together_are_one(read):
-    model = IfcModel()
-    items = [model.extrusion(model.rectangle(1.0, 0.1), 0.1, at=(0.0, 0.0, z)) for z in (0.0, -0.1)]
-    bar = model.element("IfcMember", "bar", model.representation(*items))
-    model.opening(bar, (0.2, 0.5, 0.5), (0.0, 0.0, 0.0))
-    assert read(model).elements[bar.GlobalId].doubt == ""
 
 
 # -- assemblies, calendars, what is not read

@@ -99,8 +99,7 @@ def test_what_is_noted_is_said_behind_the_process_and_from_the_cache(tmp_path):
     path.write_text(model.text())
     for found in (read_building(path, tmp_path / "cache"), read_building(path, tmp_path / "cache")):
         assert "the reader of the file says of what it needs" in found.elements[bow.GlobalId].doubt
-        for texts in (found.notes, found.remarks[bow.GlobalId]):
-            assert noted(texts, "the arm does not place it", "the reader of the file says of what it needs")
+        assert noted(found.notes, "the arm does not place it", "the reader of the file says of what it needs")
 
 
 def test_a_damaged_cache_is_made_anew(path, tmp_path):

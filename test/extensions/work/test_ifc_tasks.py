@@ -143,7 +143,7 @@ def test_without_a_scheduled_start_the_early_one_is_taken_and_else_the_late_one(
     one, two = found.tasks[first.GlobalId], found.tasks[second.GlobalId]
     assert (one.start, two.start) == ("2027-01-05T08:00:00", "2027-01-04T08:00:00")
     assert [job.task for job in Schedule.of(found).jobs] == [second.GlobalId, first.GlobalId]
-    assert all(noted(found.remarks[at], "No scheduled start") for at in (one.id, two.id))
+    assert noted(found.notes, "No scheduled start", one.name, two.name)
 
 
 @pytest.mark.parametrize("nested", [False, True])
@@ -163,7 +163,7 @@ def test_an_event_between_two_tasks_keeps_their_order_and_lags(read, nested, sch
     schedule = Schedule.of(found)
     assert [job.task for job in schedule.jobs] == [second.GlobalId, first.GlobalId]
     assert [(wait.job, wait.lag) for wait in schedule.job(first.GlobalId).after] == [(second.GlobalId, 120.0)]
-    assert noted(found.remarks[first.GlobalId], "Comes after what the arm does not see", kind)
+    assert noted(found.notes, "Comes after what the arm does not see", kind)
 
 
 def held(model, kind, *elements):

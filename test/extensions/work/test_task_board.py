@@ -353,12 +353,11 @@ def with_removal(tmp_path: Path, clock: Clock) -> TaskBoard:
     ready = loaded_model()
     down = Job("D1", "D1", "Take down wall", "W1", (), ())
     jobs = (replace(JOBS[0], after=(Wait("D1", True, 0.0),)), *JOBS[1:])
-    remarks = {"D1": ("the arm takes nothing down",), "T1": ("THE MASS IS DOUBTFUL",)}
     wall = SceneObject("W1/0", "box", (1.0, 0.1, 1.0), fixed=True)
     facts = ElementFacts("wall", (), at(0.0), np.zeros((1, 3, 3)))
     ready = replace(
         ready,
-        schedule=Schedule(jobs, (), False, (down,), remarks),
+        schedule=Schedule(jobs, (), False, (down,)),
         elements={**ready.elements, "W1": facts},
         standing=(wall, SceneObject("W2/0", "box", (1.0, 0.1, 1.0), fixed=True)),
     )

@@ -138,7 +138,6 @@ class BuildingModel:
     Attributes:
         tasks: By id, in the file's order; empty: it has no schedule.
         notes: One sentence for each thing that was left out or understood in a way that the user should know.
-        remarks: The same by the id of the element or task that they are about.
     """
 
     file: str
@@ -148,7 +147,6 @@ class BuildingModel:
     tasks: Mapping[str, Task] = field(default_factory=dict, repr=False)
     sequences: tuple[Sequence, ...] = field(default=(), repr=False)
     notes: tuple[str, ...] = ()
-    remarks: Mapping[str, tuple[str, ...]] = field(default_factory=dict, repr=False)
 
     def element(self, global_id: str) -> Element:
         """Return the element of that GlobalId."""

@@ -1,17 +1,14 @@
 """An order of building for a model that has none, from its geometry. It is a proposal: a person must accept it.
 
-In: the workpieces of a `BuildingModel`, z upwards. Out: the model, as if its file had tasks and sequences. What supports an element
-comes before it; an element that nothing supports from below comes after those that touch it and begin lower (a noggin after its
-studs); otherwise from below, then as in the file. An upward face supports what a downward face closer than `GAP` to it belongs to.
-
-Metres. Sees faces only: no weights, no fasteners, no temporary props. Knows no robot.
+What supports an element comes before it: an upward face supports what a downward face closer than `GAP` to it belongs to. Otherwise
+from below, then as in the file. Metres, z upwards. Knows no weights, fasteners, props or robot.
 """
 
 from __future__ import annotations
 
 import heapq
 import uuid
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from graphlib import CycleError, TopologicalSorter
 from typing import Any, TypeVar
@@ -26,6 +23,12 @@ from construction_twin.extensions.work.wholes import workpieces
 T = TypeVar("T")
 _DIGITS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz_$"
 _IDS = uuid.UUID("5b0f6c3e-9d1a-4b52-8a35-6c1f7d2e9b40")
+#: How far apart, or inside of each other, two faces may be that touch as built [m].
+GAP = 0.006
+#: A face whose normal is closer to the horizontal than this sine supports nothing.
+_STEEP = 0.1
+#: Vertical lines per direction on which the faces of two elements are compared.
+_LINES = 15
 
 
 def global_id(*words: str) -> str:
@@ -34,31 +37,21 @@ def global_id(*words: str) -> str:
     return "".join(_DIGITS[number >> shift & 63] for shift in range(126, -1, -6))
 
 
-#: How far apart, or inside of each other, two faces may be that touch as built [m].
-GAP = 0.006
-
-#: A face whose normal is closer to the horizontal than this sine supports nothing.
-_STEEP = 0.1
-
-#: Vertical lines per direction on which the faces of two elements are compared.
-_LINES = 15
-
-
 def propose(model: BuildingModel) -> BuildingModel:
     """Return the model with a task for each element, in an order in which they can be built, and one that nests them all."""
     solids = [_Solid(model.elements[identifier]) for identifier in workpieces(model)]
     if not solids:
         raise ScheduleError(f"{model.file}: it has no workpiece with geometry; an order cannot be proposed")
-    notes: list[str] = []
-    near = _near(solids)
     before: dict[int, set[int]] = {number: set() for number in range(len(solids))}
-    for i, j in near:
+    for i, j in _near(solids):
         for lower, upper in ((i, j), (j, i)):
             if _rests_on(solids[upper], solids[lower]):
                 before[upper].add(lower)
-    notes += _order_by_side_support(solids, near, before)
-    notes += _break_circles(solids, before)
-    order = in_order(before, lambda number: solids[number].key())
+    try:
+        order = in_order(before, lambda number: solids[number].key())
+    except CycleError as error:
+        circle = first_few(solids[number].element.id for number in error.args[1][1:])
+        raise ScheduleError(f"{circle} rest on each other in a circle; an order cannot be proposed") from error
     root = Task(global_id("proposed schedule", model.project), "Proposed order")
     tasks = {}
     for number in order:
@@ -70,8 +63,7 @@ def propose(model: BuildingModel) -> BuildingModel:
         for second in order
         for first in sorted(before[second], key=order.index)
     ]
-    named = {task.id: task for task in (root, *tasks.values())}
-    return replace(model, tasks=named, sequences=tuple(sequences), notes=(*model.notes, *notes))
+    return replace(model, tasks={task.id: task for task in (root, *tasks.values())}, sequences=tuple(sequences))
 
 
 class _Solid:
@@ -140,53 +132,6 @@ def _heights(triangles: np.ndarray, points: np.ndarray, band: tuple[float, float
         if inside.any():
             found.append(np.where(inside, a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2]), np.nan))
     return found
-
-
-def _order_by_side_support(solids: list[_Solid], near: list[tuple[int, int]], before: dict[int, set[int]]) -> list[str]:
-    """Put what nothing supports behind its neighbours that begin lower, in `before`; return notes on what is left."""
-    ground = min(float(solid.low[2]) for solid in solids)
-    touching: dict[int, set[int]] = {number: set() for number in before}
-    for i, j in near:
-        touching[i].add(j)
-        touching[j].add(i)
-    loose = []
-    for number, solid in enumerate(solids):
-        if before[number] or solid.low[2] <= ground + GAP:
-            continue
-        lower = {other for other in touching[number] if solids[other].low[2] < solid.low[2] - GAP}
-        before[number] = {other for other in lower if not _waits_for(other, number, before)}
-        if not before[number]:
-            loose.append(solid.element.id)
-    if not loose:
-        return []
-    return [f"Nothing in the model holds {first_few(loose)}: what it stands on or hangs from must be there before."]
-
-
-def _waits_for(element: int, other: int, before: dict[int, set[int]]) -> bool:
-    """Return whether one comes after the other already."""
-    visited, left = {element}, [element]
-    while left:
-        at = left.pop()
-        if at == other:
-            return True
-        left += before[at] - visited
-        visited |= before[at]
-    return False
-
-
-def _break_circles(solids: list[_Solid], before: dict[int, set[int]]) -> Iterator[str]:
-    """Let the lowest of elements that rest on each other in a circle come first, in `before`; yield notes."""
-    while True:
-        try:
-            TopologicalSorter(before).prepare()
-            return
-        except CycleError as error:
-            lowest = min(error.args[1], key=lambda number: (*solids[number].key(), number))
-            others = before[lowest] & {*error.args[1]}
-            before[lowest] -= others
-            named = first_few(solids[other].element.id for other in sorted(others))
-            circle = f"{solids[lowest].element.id} rests on {named} and these, in a circle, on it"
-            yield f"{circle}: it comes first, being lowest."
 
 
 def in_order(before: Mapping[T, Collection[T]], key: Callable[[T], Any]) -> list[T]:

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
@@ -84,14 +84,12 @@ class Schedule:
         notes: One sentence, with ids, for each thing that was understood in a way the user should know.
         proposed: It is not the planner's but a proposal from the geometry, which a person must accept; or a part of it is.
         removals: Elements that people take down; what each waits for is in `after`.
-        remarks: Notes by the id of the job or removal that they are about.
     """
 
     jobs: tuple[Job, ...]
     notes: tuple[str, ...]
     proposed: bool = False
     removals: tuple[Job, ...] = ()
-    remarks: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @cached_property
     def placing(self) -> dict[str, str]:
@@ -111,8 +109,6 @@ class Schedule:
         everything = reading.jobs()
         moments, note = _moments(everything, model)
         reading.notes += [note] if note and not proposed else []
-        said = model.remarks
-        remarks = {job.id: (*said.get(job.task, ()), *said.get(job.element, ())) for job in everything}
         jobs: list[Job] = []
         removals: list[Job] = []
         # what is to be taken down without a task has no date and comes first
@@ -121,10 +117,7 @@ class Schedule:
         before = {job.id: [wait.job for wait in job.after] for job in everything}
         for name in in_order(before, lambda one: places[one]):
             (removals if name in reading.removals else jobs).append(by_id[name])
-        return cls(
-            tuple(jobs), tuple(reading.notes), proposed or reading.guessed, tuple(removals),
-            {name: each for name, each in remarks.items() if each},
-        )  # fmt: skip
+        return cls(tuple(jobs), tuple(reading.notes), proposed or reading.guessed, tuple(removals))
 
     def job(self, identifier: str) -> Job:
         """Return the job of that id."""

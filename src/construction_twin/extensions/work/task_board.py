@@ -220,15 +220,6 @@ class TaskBoard:
         )
 
     def _reason(self, task: str, now: int) -> str:
-        """Return what a task waits for, and remarks on it until it is done."""
-        reason = self._standing_sentence(task, now)
-        if self.states.tasks[task].state is not TaskState.DONE:
-            for remark in self.loaded.schedule.remarks.get(task, ()):
-                note = Sentence("Note: {remark}", remark=remark)
-                reason = Sentence("{reason}. {note}", reason=reason, note=note) if reason else note
-        return reason
-
-    def _standing_sentence(self, task: str, now: int) -> str:
         memory = self.states.tasks[task]
         if memory.state is TaskState.ASKS:
             return ""

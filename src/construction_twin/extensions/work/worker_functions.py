@@ -70,7 +70,6 @@ class CheckedTask:
     planning: float = 0.0
     stage: str = ""
     reason: str = ""
-    remarks: tuple[str, ...] = ()
     path: tuple[tuple[float, float, float], ...] = field(default=(), repr=False)
 
 
@@ -88,10 +87,7 @@ class PlanningContext:
         """Plan one job of the schedule, by its number from 0, from home and with all that comes before it standing as designed."""
         job, building = self.schedule.jobs[number], self.layout.building
         began = time.monotonic()
-        found = CheckedTask(
-            number, job.name, job.element, building.element(job.element).name, False,
-            remarks=self.schedule.remarks.get(job.id, ()),
-        )  # fmt: skip
+        found = CheckedTask(number, job.name, job.element, building.element(job.element).name, False)
         if job.element in self.unplannable:
             return replace(found, reason=self.unplannable[job.element])
         scene, place = self._turn(number)
@@ -170,7 +166,6 @@ def load_model(
     pieces = {element: shape.objects for element, shape in shapes.items()}
     stands, boxed = standing_obstacles(building, pieces, work_cell, reach, bodies)
     schedule.notes = tuple(map(building.with_names, schedule.notes))
-    schedule.remarks = {job: tuple(map(building.with_names, said)) for job, said in schedule.remarks.items()}
     usable = [element for element in order if element in pieces]
     layout = Layout(work_cell, building, pieces, usable, robot.tip_link, stands, schedule.jobs)
     unplannable = {element: building.with_names(why) for element, why in (failures | doubted).items()}

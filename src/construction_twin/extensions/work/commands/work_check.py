@@ -167,7 +167,6 @@ def _print(console: Console, checked: Checked) -> None:
         about = f"{task.number + 1} {task.name} ({task.element_name or task.element})"
         if not task.possible:
             lines.append(f"{about}: {task.stage}: {task.reason}" if task.stage else f"{about}: {task.reason}")
-        lines += [f"{about}: note: {remark}" for remark in task.remarks]
     console.print(table)
     for line in lines:
         console.print(line, markup=False, soft_wrap=True)

@@ -1,13 +1,13 @@
 """Bodies of products as triangles, by ifcopenshell's geometry kernel, in the element's frame [m].
 
-Openings are cut out by manifold3d: the kernel leaves away what it cannot cut. The bounding box stands for a body that nobody can be
-sure of. Mapped items are followed here before the kernel does: a loop, or a few lines that mean a million copies, is refused.
+Openings are cut out by manifold3d: the kernel leaves away what it cannot cut. A box stands for what it fails at. Mapped items are
+counted before it follows them: a loop, or a few lines that mean a million copies, is refused.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,8 +20,8 @@ from scipy.sparse.csgraph import connected_components
 
 from construction_twin.extensions.work.building import Body
 from construction_twin.extensions.work.errors import BuildingError
-from construction_twin.extensions.work.ifc.notes import MisreadError, Notes, ReadingEntity, label
-from construction_twin.scene.solids import hull_solid, mesh_of, solid, welded
+from construction_twin.extensions.work.ifc.notes import Notes, ReadingEntity, label
+from construction_twin.scene.solids import mesh_of, solid, welded
 
 _Entity = ifcopenshell.entity_instance
 #: Identifiers of representations that are a body, the best first.
@@ -40,8 +40,6 @@ _NO_BODIES = (
 _FLAT = ("IfcFacetedBrep", "IfcTessellatedFaceSet")
 #: What reaches nowhere, or without an end and only cuts.
 _NO_REACH = ("IfcHalfSpaceSolid", "IfcRepresentationContext", "IfcDirection", "IfcPresentationItem")
-#: Words in the names of numbers that are no lengths.
-_NO_LENGTHS = ("Angle", "Param", "Scale")
 #: Copies by mapped items, and operands of booleans, of one element.
 MOST_ITEMS = 100_000
 DEEPEST = 200
@@ -54,14 +52,7 @@ DEFLECTION = 0.001
 _ANGLE = 0.5
 #: By how much an opening is larger than it is given [m], so that no skin is left where a face of it lies in one of the element's.
 _GROWN = 1e-7
-#: By what part of it openings take volume away at least.
-_SHRUNK = 1e-12
-#: By how much bodies may have more volume than the hull around them, as a part of it.
-_OVERLAP = 1e-3
-#: By how much volumes may differ that are the same, as a part of one.
-_ROUNDING = 1e-6
-#: Pieces that are nearer touch [m]; smaller ones [m³] are rounding of the kernel's.
-_TOUCH = 1e-4
+#: Smaller pieces [m³] are rounding of the cutting.
 _CRUMB = 1e-9
 #: Messages of the kernel's after which its lengths are none.
 NO_UNIT_CODES = ("GEO308", "GEO309", "GEO312")
@@ -107,7 +98,7 @@ def shapes(
     file: ifcopenshell.file,
     name: str,
     bodies: Mapping[int, _Entity],
-    openings: Mapping[int, Sequence[tuple[_Entity, bool]]],
+    openings: Mapping[int, Sequence[_Entity]],
     unit: float,
     notes: Notes,
     read_log: Callable[[_Entity], None],
@@ -115,35 +106,24 @@ def shapes(
     """Make the bodies of products; one of which nothing is made has none, and is doubted.
 
     Args:
-        openings: What is cut from a product, by its id; True: an opening of its own, else of what it is a part of.
+        openings: What is cut from a product, by its id.
         unit: Metres per length unit.
         read_log: Called with a product when the kernel has made what it can of it.
     """
-    cuts = {
-        each.id(): body
-        for own_openings in openings.values()
-        for each, _ in own_openings
-        if (body := body_of(each)) is not None
-    }
+    every_opening = [each for of_product in openings.values() for each in of_product]
+    cuts = {each.id(): body for each in every_opening if (body := body_of(each)) is not None}
     counts: dict[int, int] = {}
     for representation in (*bodies.values(), *cuts.values()):
         _count(name, representation, counts)
     holes = {shape.id: shape for shape in _kernel_shapes(file, name, cuts, read_log)}
     missing = dict(bodies)
     for shape in _kernel_shapes(file, name, bodies, read_log):
-        representation = bodies[shape.id]
-        own_openings = [(each.id(), own) for each, own in openings.get(shape.id, ()) if each.id() in cuts]
-        try:
-            with ReadingEntity(name, file.by_id(shape.id)):
-                items = list(_resolved(representation))
-                yield _shape(shape, items, own_openings, holes, unit, file.by_id(shape.id).GlobalId, notes)
-                del missing[shape.id]
-        except MisreadError:
-            # told as what is missing
-            pass
+        items = list(_resolved(missing.pop(shape.id)))
+        own_openings = [each.id() for each in openings.get(shape.id, ()) if each.id() in cuts]
+        yield _shape(shape, items, own_openings, holes, file.by_id(shape.id).GlobalId, notes)
     for number, representation in missing.items():
         # one of lines alone has nothing to touch
-        if any(_has_surface(part) for part in file.traverse(representation)):
+        if any(each.is_a(kind) for each in file.traverse(representation) for kind in _SURFACES):
             reason = "the geometry kernel cannot make its shape; a box that holds it stands as an obstacle"
             yield Shape(number, (), None).doubted(reason, bounds(representation) * unit)
 
@@ -189,64 +169,32 @@ def _kernel_shapes(
 
 
 def _shape(
-    kernel_shape: _KernelShape, items: list[_Entity], openings: Sequence[tuple[int, bool]], holes: Mapping[int, _KernelShape],
-    unit: float, about: str, notes: Notes,
-) -> Shape:  # fmt: skip
+    kernel_shape: _KernelShape,
+    items: list[_Entity],
+    openings: Sequence[int],
+    holes: Mapping[int, _KernelShape],
+    about: str,
+    notes: Notes,
+) -> Shape:
     bodies = tuple(_bodies(kernel_shape, [] if openings else items, about, notes))
     shape = Shape(kernel_shape.id, bodies, kernel_shape.matrix)
-    if less := _less(items, kernel_shape.owners):
-        reason = (
-            f"the geometry kernel cannot make a part of its shape ({less}); a box that holds it stands as an obstacle"
-        )
-        return shape.doubted(reason, *(bounds(item) * unit for item in items))
-    if not all(map(_is_simple, bodies)):
-        return shape.doubted("parts of its shape lie within each other; its box stands as an obstacle")
-    if openings:
-        cut = _cut(shape, openings, holes)
-        if not cut:
-            reason = "its openings take nothing from it, or all of it, or cannot be cut out"
-            return shape.doubted(f"{reason}; its box stands as an obstacle")
-        made_of = map(mesh_of, cut)
-        shape = replace(shape, bodies=tuple(Body(vertices, faces.astype(np.int32)) for vertices, faces in made_of))
-        if (pieces := _count_pieces(cut)) > 1:
-            reason = f"it is in {pieces} pieces that do not touch, after its openings"
-            return replace(shape, doubt=f"{reason}; it stands as an obstacle")
-    whole = sum(body.volume for body in shape.bodies if body.is_closed)
-    if whole > hull_solid(kernel_shape.vertices).volume() * (1.0 + _OVERLAP):
-        return shape.doubted("its bodies have more volume than the hull around them; its box stands as an obstacle")
-    return shape
-
-
-def _is_simple(body: Body) -> bool:
-    """Return whether no part of a closed body lies within another one but as a cavity, turned inwards."""
-    pieces = [Body(body.vertices, piece) for piece in _split(body.triangles)] if body.is_closed else []
-    if len(pieces) < 2:
-        return True
-    whole, cavities = manifold3d.Manifold(), manifold3d.Manifold()
-    for piece in pieces:
-        found = solid(piece.vertices, piece.triangles)
-        if found is None:
-            return False
-        if piece.volume > 0:
-            whole += found
-        else:
-            cavities += found
-    return abs((whole - cavities).volume() - body.volume) <= _ROUNDING * body.volume
+    if not openings:
+        return shape
+    cut = _cut(kernel_shape, bodies, openings, holes)
+    if not cut:
+        return shape.doubted("its openings cannot be cut out, or leave nothing; its box stands as an obstacle")
+    return replace(shape, bodies=tuple(Body(vertices, faces.astype(np.int32)) for vertices, faces in map(mesh_of, cut)))
 
 
 def _cut(
-    shape: Shape, openings: Sequence[tuple[int, bool]], holes: Mapping[int, _KernelShape]
+    kernel_shape: _KernelShape, bodies: Sequence[Body], openings: Sequence[int], holes: Mapping[int, _KernelShape]
 ) -> list[manifold3d.Manifold]:
-    """Return the bodies less openings; none where one cannot be cut out, or is the element's own and takes nothing away, or all."""
-    solids = [one for body in shape.bodies if (one := solid(body.vertices, body.triangles)) is not None]
-    if len(solids) < len(shape.bodies) or shape.model_T_shape is None:
+    """Return the bodies less openings; none where one cannot be cut out."""
+    left = [one for body in bodies if (one := solid(body.vertices, body.triangles)) is not None]
+    if len(left) < len(bodies) or any(number not in holes for number in openings):
         return []
-    less = solids
-    for number, own in openings:
-        if number not in holes:
-            return []
-        hole, before = holes[number], sum(one.volume() for one in less)
-        shape_T_hole = np.linalg.inv(shape.model_T_shape) @ hole.matrix
+    for hole in (holes[number] for number in openings):
+        shape_T_hole = np.linalg.inv(kernel_shape.matrix) @ hole.matrix
         points = hole.vertices @ shape_T_hole[:3, :3].T + shape_T_hole[:3, 3]
         middle, size = 0.5 * (points.max(axis=0) + points.min(axis=0)), np.ptp(points, axis=0).max()
         points = middle + (points - middle) * (1.0 + 2 * _GROWN / size)
@@ -254,36 +202,8 @@ def _cut(
             tool = solid(points, hole.triangles[hole.owners == owner])
             if tool is None:
                 return []
-            less = [one - tool for one in less]
-        if own and sum(one.volume() for one in less) > before * (1.0 - _SHRUNK):
-            return []
-    return [one for one in less if one.volume() > _CRUMB]
-
-
-def _count_pieces(solids: Iterable[manifold3d.Manifold]) -> int:
-    """Return into how many pieces that do not touch each other bodies fall."""
-    # the wall of a cavity is turned inwards
-    pieces = [piece for one in solids for piece in one.decompose() if piece.volume() > _CRUMB]
-    touching = np.array([[one.min_gap(other, 2 * _TOUCH) <= _TOUCH for other in pieces] for one in pieces], dtype=bool)
-    return int(connected_components(touching, directed=False)[0]) if pieces else 0
-
-
-def _less(items: list[_Entity], owners: np.ndarray) -> str:
-    """Return the items with a surface that gave no triangle, as ``#12=IFCEXTRUDEDAREASOLID``; empty: there is none."""
-    made = set(owners.tolist())
-    missing = [label(item) for item in items if _has_surface(item) and made.isdisjoint(_numbers(item))]
-    return ", ".join(dict.fromkeys(missing[:3]))
-
-
-def _has_surface(item: _Entity) -> bool:
-    return any(item.is_a(kind) for kind in _SURFACES)
-
-
-def _numbers(item: _Entity) -> set[int]:
-    """Return the numbers by which the kernel may call an item: its own, a CSG solid's tree's, a surface model's shells'."""
-    parts = (getattr(item, name, ()) or () for name in ("TreeRootExpression", "FbsmFaces", "SbsmBoundary"))
-    flat = (each for part in parts for each in (part if isinstance(part, tuple) else (part,)))
-    return {item.id(), *(each.id() for each in flat)}
+            left = [one - tool for one in left]
+    return [one for one in left if one.volume() > _CRUMB]
 
 
 def box(points: np.ndarray) -> Body:
@@ -390,35 +310,24 @@ def bounds(node: _Entity) -> np.ndarray:
         elif each.is_a("IfcCartesianPointList3D"):
             points += each.CoordList
     if not points:
-        return _reach(node, {}) * np.array([[-1.0] * 3, [1.0] * 3])
+        return _reach(node) * np.array([[-1.0] * 3, [1.0] * 3])
     return np.array([np.min(points, axis=0), np.max(points, axis=0)])
 
 
-def _reach(value: object, known: dict[int, float], factor: float = 1.0) -> float:
-    """Return how far from its origin an item, or a value in it, reaches at most, in the file's units; `factor`: of a number.
+def _reach(value: object) -> float:
+    """Return how far from its origin an item, or a value in it, reaches at most, in the file's units.
 
-    Points, lengths and axes of what is nested are added, of what is side by side the largest counts, a half space only cuts. Far
-    too large for most, too small only for a line that is cut by its parameters.
+    All lengths and coordinates on the way to a point are added, of what is side by side the largest counts: far too much for most.
     """
     if isinstance(value, tuple):
-        return max((_reach(each, known, factor) for each in value), default=0.0)
+        return max(map(_reach, value), default=0.0)
     if isinstance(value, float):
-        return factor * abs(value)
+        # beyond the distance of a point with this coordinate, and of what is turned about an axis there
+        return 4.0 * abs(value)
     if not isinstance(value, _Entity) or value.id() == 0 or any(map(value.is_a, _NO_REACH)):
         return 0.0
-    if value.id() in known:
-        return known[value.id()]
-    found, scale = 0.0, 1.0
-    for name, each in value.get_info(include_identifier=False).items():
-        if isinstance(each, tuple):
-            # of numbers in a list only coordinates are lengths; the largest one of a point is within its distance
-            found += _reach(each, known, 2.0 if name.startswith("Coord") else 0.0)
-            continue
-        found += _reach(each, known, 0.0 if any(word in name for word in _NO_LENGTHS) else 1.0)
-        if isinstance(each, _Entity) and each.is_a("IfcAxis1Placement"):
-            # what is turned about an axis reaches beyond it
-            found += _reach(each, known)
-        if isinstance(each, _Entity) and each.is_a("IfcCartesianTransformationOperator"):
-            scale = max(abs(getattr(each, axis, None) or 1.0) for axis in ("Scale", "Scale2", "Scale3"))
-    known[value.id()] = found * max(1.0, scale)
-    return known[value.id()]
+    found = sum(map(_reach, value.get_info(include_identifier=False).values()))
+    if value.is_a("IfcMappedItem"):
+        target = value.MappingTarget
+        found *= max(1.0, *(abs(getattr(target, name, None) or 1.0) for name in ("Scale", "Scale2", "Scale3")))
+    return found

@@ -2,49 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-
 from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.names import first_few
 
 _NAMED = 5
-#: Remarks of one element or task.
-_REMARKS = 20
 
 
 class Notes:
     """Sentences with what they are about, in the order of their first occurrence."""
 
     def __init__(self) -> None:
-        self._about: dict[str, list[str]] = {}
-        self._at: dict[str, list[str]] = {}
+        self._about: dict[str, dict[str, None]] = {}
 
-    def add(self, sentence: str, about: str = "", at: str = "") -> None:
-        """Add a sentence, or one more thing that it holds for.
-
-        Args:
-            sentence: Without a full stop; must make sense for one and for many, whose names follow behind a colon.
-            about: Name or GlobalId; empty: the sentence says it all.
-            at: Id of the element or task whose remark it is; by default what it is about.
-        """
-        self._about.setdefault(sentence, []).append(about)
-        self.remark(sentence, at or about)
-
-    def remark(self, sentence: str, at: str) -> None:
-        """Add a sentence to an element or task only."""
-        remarks = self._at.setdefault(at, [])
-        # a file can be wrong in the same way very often
-        if sentence not in remarks and len(remarks) < _REMARKS:
-            remarks.append(sentence)
-
-    def remarks(self, ids: Collection[str]) -> dict[str, tuple[str, ...]]:
-        """Return the sentences that hold for each of these elements and tasks, of those that any holds for."""
-        return {name: tuple(remarks) for name, remarks in self._at.items() if name in ids}
+    def add(self, sentence: str, about: str = "") -> None:
+        """Add a sentence without full stop, or one more name or GlobalId that it holds for; "": the sentence says it all."""
+        self._about.setdefault(sentence, {}).update({about: None} if about else {})
 
     def sentences(self) -> tuple[str, ...]:
         """Return them with the first few of what each is about."""
-        every = ((text, dict.fromkeys(filter(None, about))) for text, about in self._about.items())
-        return tuple(f"{text}: see {first_few(about, _NAMED)}" if about else text for text, about in every)
+        return tuple(
+            f"{text}: see {first_few(about, _NAMED)}" if about else text for text, about in self._about.items()
+        )
 
 
 class MisreadError(BuildingError):

@@ -124,7 +124,7 @@ def read_properties(product: _Entity, at: str, units: Units, notes: Notes) -> Se
                     if name is not None and isinstance(value, dict)
                 }
     except BuildingError:
-        notes.add("Property sets that cannot be read are left out", label(product), at)
+        notes.add("Property sets that cannot be read are left out", label(product))
     return sets
 
 
@@ -135,12 +135,12 @@ def _value(entry: dict, units: Units, what: str, product: _Entity, at: str, note
         return value
     if isinstance(value, (int, float)):
         if not math.isfinite(value):
-            notes.add("Values that are no finite numbers are left out", "", at)
+            notes.add("Values that are no finite numbers are left out", at)
             return None
         factor = _factor(product.file.by_id(entry["id"]), measure, units) if "id" in entry else units.factor(measure)
         if factor is None:
             about = f"{product.Name or at} ({what})"
-            notes.add("Values with a unit of their own that is none of theirs are left out", about, at)
+            notes.add("Values with a unit of their own that is none of theirs are left out", about)
             return None
         return value if factor == 1.0 else value * factor
     if isinstance(value, str):
@@ -174,7 +174,7 @@ def read_status(product: _Entity, at: str, sets: Sets, notes: Notes) -> str:
         for word in (each.strip(" .").upper() for each in given.split(",")):
             found.add(_STATUS.get(word, ""))
             if word not in _STATUS:
-                notes.add(f"Elements with the status {word!r}, taken as still to be made", product.Name or at, at)
+                notes.add(f"Elements with the status {word!r}, taken as still to be made", product.Name or at)
     return next((status for status in ("demolish", "existing", "new") if status in found), "")
 
 
@@ -192,7 +192,7 @@ def read_mass(
     if mass is not None and whole > 0.0 and not _LIKELY[0] <= mass / whole <= _LIKELY[1]:
         found = f"{mass:.3g} kg for {1e3 * whole:.3g} l is {mass / whole:.3g} kg/m³"
         said = f"THE MASS IS DOUBTFUL: {found}, expected {_LIKELY[0]:g} to {_LIKELY[1]:g}"
-        notes.add(said, product.Name or at, at)
+        notes.add(said, product.Name or at)
         return weight
     return mass
 
@@ -209,14 +209,14 @@ def _weight(product: _Entity, at: str, sets: Sets, units: Units, notes: Notes) -
         if not isinstance(value, (int, float)) or isinstance(value, bool):
             continue
         if value <= 0:
-            notes.add("Weights that are not above 0 are left out", about, at)
+            notes.add("Weights that are not above 0 are left out", about)
             continue
         if "MASSUNIT" not in units.factors:
             entry = ifcopenshell.util.element.get_psets(product, verbose=True)[name][quantity]
             own = getattr(product.file.by_id(entry["id"]), "Unit", None) if "id" in entry else None
             if own is None and not units.is_metric:
                 said = f"A weight of {value:.6g} without a unit can be kilograms or pounds, and is not used"
-                notes.add(f"{said}: the project has no unit of mass, and feet or inches", about, at)
+                notes.add(f"{said}: the project has no unit of mass, and feet or inches", about)
                 continue
             if own is None:
                 notes.add("The project has no unit of mass; weights are taken as kilograms")
@@ -241,11 +241,11 @@ def _density(product: _Entity, at: str, units: Units, notes: Notes) -> float | N
                 metric = units.is_metric and _is_power_of_ten(units.factors.get("MASSUNIT", 1.0))
                 factor = units.factors.get("MASSDENSITYUNIT", 1.0 if metric else None)
     except BuildingError:
-        notes.add("Materials that cannot be read are left out", label(product), at)
+        notes.add("Materials that cannot be read are left out", label(product))
         return None
     if factor is None:
         said = f"The mass is not known: a density of {density:g} has no unit, and the project none of density"
-        notes.add(said, product.Name or label(product), at)
+        notes.add(said, product.Name or label(product))
         return None
     return float(density) * factor
 

@@ -164,7 +164,7 @@ class _Reader:
                     self._record_ignored_shapes(product, body, self.ids[product.id()])
         openings = {
             product.id(): [
-                (opening, each is product)
+                opening
                 for each in (product, *self.relations.wholes(product))
                 for opening in self.relations.openings.get(each.id(), ())
             ]
@@ -189,7 +189,7 @@ class _Reader:
         for one, element in elements.items():
             if element.doubt:
                 sentence = f"THE BODY IS DOUBTFUL: {element.doubt}, the arm does not place it"
-                self.notes.add(sentence, element.name or one, one)
+                self.notes.add(sentence, element.name or one)
         _hand_down_status(elements, self.notes)
         _leave_out_doubles(elements, self.notes)
         self.ids = {entity: element for entity, element in self.ids.items() if element in elements}
@@ -206,9 +206,9 @@ class _Reader:
         ]
         if len(same) > 1:
             said = f"Elements with {len(same)} bodies of one kind, of which only the first is taken"
-            self.notes.add(said, about, element_id)
+            self.notes.add(said, about)
         if any(body_of(opening) is None for opening in self.relations.openings.get(product.id(), ())):
-            self.notes.add("Openings without a body are not cut out", about, element_id)
+            self.notes.add("Openings without a body are not cut out", about)
 
     def _record_kernel_log(self, product: _Entity) -> None:
         """Note the kernel's messages about a product, and doubt it."""
@@ -257,7 +257,7 @@ class _Reader:
                 bodies = tuple(Body(body.vertices @ turn.T + shift, body.triangles) for body in bodies)
             if product.ObjectPlacement is None:
                 sentence = "HAS A BODY AND NO PLACEMENT: where it is nobody says, taken at the model's origin"
-                self.notes.add(sentence, product.Name or element_id, element_id)
+                self.notes.add(sentence, product.Name or element_id)
         doubt = "" if shape is None else shape.doubt
         if not doubt and (unknown := self.doubts.shapes.get(product.id())):
             # it can have a body that nobody knows
@@ -292,10 +292,10 @@ class _Reader:
         for name, element in changed.items():
             if element.bodies:
                 about = element.name or name
-                self.notes.add("Comes in one piece: its parts are a body and a mass with it", about, name)
+                self.notes.add("Comes in one piece: its parts are a body and a mass with it", about)
                 if element.mass is None:
                     said = "Comes in one piece with something whose mass is not known: its mass is not known either"
-                    self.notes.add(said, about, name)
+                    self.notes.add(said, about)
         return changed
 
 
@@ -330,7 +330,7 @@ def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
     with_parts = {element.assembly for element in elements.values()}
     for element in elements.values():
         if not element.bodies and element.id not in with_parts:
-            notes.add("Elements without a body are no obstacle", element.name or element.id, element.id)
+            notes.add("Elements without a body are no obstacle", element.name or element.id)
     built_from_inputs, groups = _built_from_inputs(elements), Groups(reader.relations, reader.ids, notes)
     tasks, sequences = read_tasks(file, name, groups, built_from_inputs, reader.units, notes)
     elements |= groups.elements
@@ -338,10 +338,7 @@ def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
     project = file.by_type("IfcProject")[0]
     with ReadingEntity(name, project):
         title = project.Name or getattr(project, "LongName", None) or ""
-    return BuildingModel(
-        name, digest, title, elements, tasks, sequences, notes.sentences(),
-        notes.remarks({*elements, *tasks}),
-    )  # fmt: skip
+    return BuildingModel(name, digest, title, elements, tasks, sequences, notes.sentences())
 
 
 def _built_from_inputs(elements: dict[str, Element]) -> set[str]:
@@ -383,7 +380,7 @@ def _hand_down_status(elements: dict[str, Element], notes: Notes) -> None:
         status = next((said[one] for one in (name, *wholes(elements, name)) if said[one]), "").replace("new", "")
         elements[name] = replace(element, status=status)
         if status:
-            notes.add(_STATUS[status], element.name or name, name)
+            notes.add(_STATUS[status], element.name or name)
 
 
 def _leave_out_doubles(elements: dict[str, Element], notes: Notes) -> None:

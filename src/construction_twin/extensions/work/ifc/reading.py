@@ -34,7 +34,7 @@ from construction_twin.extensions.work.building import BuildingModel
 from construction_twin.extensions.work.errors import BuildingError
 
 #: Of the form of its file and of what the reader understands: another number, and what is in a cache is read anew.
-VERSION = 10
+VERSION = 11
 #: Largest file [bytes].
 MOST_BYTES = 1 << 30
 #: Longest text about what is wrong with one [characters].

@@ -177,7 +177,7 @@ class _Reading:
     def task(self, entity: _Entity) -> Task:
         """Return one."""
         task_id, groups, time = self.ids[entity.id()], self._groups, _time_of(entity)
-        note = partial(self._notes.add, about=entity.Name or task_id, at=task_id)
+        note = partial(self._notes.add, about=entity.Name or task_id)
         operates = [each for relation in entity.OperatesOn for each in relation.RelatedObjects]
         products = self._elements(
             [each.RelatingProduct for each in _assignments(entity, "IfcRelAssignsToProduct")], note
@@ -311,14 +311,8 @@ class _Reading:
             return None
         if not processes[0].is_a("IfcTask"):
             said = f"Comes after what the arm does not see happen ({processes[0].is_a()})"
-            self._notes.add(f"{said}: only what is before that is waited for", processes[0].Name or before, after)
-
-        def note(sentence: str) -> None:
-            """Add a note on the relation, and a remark at each of the tasks that it is between."""
-            self._notes.add(sentence, label(relation))
-            self._notes.remark(sentence, before)
-            self._notes.remark(sentence, after)
-
+            self._notes.add(f"{said}: only what is before that is waited for", processes[0].Name or before)
+        note = partial(self._notes.add, about=label(relation))
         kind = relation.SequenceType
         if kind not in _KINDS:
             note("Orders without one of the four kinds, taken as finish to start")
