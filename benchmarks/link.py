@@ -1,8 +1,9 @@
 """The link benchmark: routes, reply time and smoothness; writes results/bench/link.json.
 
-``python benchmarks/link.py`` (`make bench ARGS=link`) takes about five minutes; every part can be shortened, left out, or made
+``python benchmarks/link.py`` (`make bench ARGS=link`) takes about six minutes; every part can be shortened, left out, or made
 longer for rare events (``--seconds 20 --reply-seconds 600``). The routes lead through the real bridge between a ROS master and
-mosquitto on loopback. Every process on the path runs as launch/bringup.launch runs it: with SCHED_FIFO where the system permits it.
+mosquitto on loopback; the `floor` is the same messages between two plain MQTT clients in the same round. Every process on the path
+runs as launch/bringup.launch runs it: with SCHED_FIFO where the system permits it.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from machine import MachineProbe
 from construction_twin.core.realtime import release_realtime, request_realtime
 
 ROUTES = ("ros_to_mqtt", "mqtt_to_ros", "round_trip", "duplex")
+SUBJECTS = ("ours", "floor")
 PARTS = ("routes", "reply", "smoothness")
 #: Time from arming to the beginning of the measurement of replies [s].
 SETTLE = 2.0
@@ -41,7 +43,9 @@ def measure_routes(rounds: int, seconds: float, rate_seconds: float, realtime: i
             subprocess.run([sys.executable, Path(__file__).parent / "link_routes.py", *words], check=True)
             taken.append(json.loads(output.read_text()))
             print(f"[link] round {number + 1} of {rounds}: measured", flush=True)
-    result = {route: {"ours": pooled([one[route] for one in taken])} for route in ROUTES}
+    result = {
+        route: {subject: pooled([one[subject][route] for one in taken]) for subject in SUBJECTS} for route in ROUTES
+    }
     return result | {"max_rate_hz": taken[-1]["max_rate_hz"]}
 
 

@@ -1,19 +1,23 @@
-"""Latency of the routes through the bridge: the ROS side of the measurement, run once per round by `link.py`.
+"""Latency of the routes through the bridge, then of the floor: the near side of the measurement, run once per round by `link.py`.
 
 The bridge is a process of its own, with its own processor time; both ends stamp with the same monotonic clock. The ROS side has
 the name of the gate, the node that the bridge takes commands from; the MQTT side (`link_peer.py`) plays the gateway. A state has
-arrived when `physical/feedback` has: the gate compares by it, and it leaves the bridge after `physical/joint_states`.
+arrived when `physical/feedback` has: the gate compares by it, and it leaves the bridge after `physical/joint_states`. The floor is
+the same messages between two plain MQTT clients, without bridge and ROS; its processor time is the broker's.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import multiprocessing
 import os
 import sys
 import tempfile
+import threading
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -21,11 +25,13 @@ import rospy
 import yaml
 from construction_twin.msg import Feedback
 from link_cell import gateway_settings
+from link_mqtt import MqttEnd, publish_packet, read_publish
 from link_peer import Heard, Task, serve
-from link_world import REALTIME, ROBOT_YAML, ROOT, XACRO, World, cpu_seconds, end_in_order, wait_for
+from link_world import REALTIME, ROBOT_YAML, ROOT, XACRO, World, cpu_seconds, end, end_in_order, wait_for
 
 from construction_twin.core.realtime import release_realtime, request_realtime
-from construction_twin.mqtt.messages import Topics
+from construction_twin.mqtt.joint_string import JointStringCodec
+from construction_twin.mqtt.messages import CommandProperties, Topics, read_state_properties
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.nodes.rsi_gateway import gateway_config
@@ -59,8 +65,8 @@ class RosEnd:
 
     def __init__(self, names: tuple[str, ...], pose: tuple[float, ...]):
         rospy.init_node("pca_monitor", disable_signals=True, disable_rosout=True)
-        self._pose = pose
-        self._publisher = JointPublisher(f"/{NAMESPACE}/command/joint_states", names)
+        publisher = JointPublisher(f"/{NAMESPACE}/command/joint_states", names)
+        self._publish = lambda now: publisher.publish(now, pose)
         self.heard = Heard()
         topic = f"/{NAMESPACE}/physical/feedback"
         rospy.Subscriber(topic, Feedback, self._receive, queue_size=QUEUE, tcp_nodelay=True)
@@ -74,17 +80,36 @@ class RosEnd:
         for _ in range(count):
             time.sleep(max(0, due - time.monotonic_ns()) / 1e9)
             now = time.monotonic_ns()
-            self._publisher.publish(now, self._pose)
+            self._publish(now)
             self.heard.sent.append(now)
             due += round(1e9 / rate)
 
 
+class PlainEnd(RosEnd):
+    """The floor's near end: a plain MQTT client that sends commands and receives states."""
+
+    def __init__(self, port: int, topics: Topics, payload: bytes):
+        self.heard = Heard()
+        self._end = MqttEnd(port, "link-floor", [topics.state])
+        numbers = itertools.count(1)
+        self._publish = lambda now: self._end.publish(
+            publish_packet(topics.command, payload, CommandProperties("floor", next(numbers), now).pairs())
+        )
+        threading.Thread(target=self._receive_all, daemon=True).start()
+
+    def _receive_all(self) -> None:
+        while True:
+            for body in self._end.receive():
+                stamp = read_state_properties(read_publish(body)[2]).command_stamp
+                self.heard.arrivals.append((stamp, time.monotonic_ns()))
+
+
 class Bench:
-    """Both ends and the bridge between them.
+    """Both ends and what is between them.
 
     Args:
         pipe: Connection. To the peer.
-        pid: The bridge's process.
+        pid: The process between the ends.
     """
 
     def __init__(self, end: RosEnd, pipe, pid: int):
@@ -180,7 +205,7 @@ def bridge_parameters(port: int, realtime: int) -> dict:
 
 
 def run(seconds: float, rate_seconds: float, realtime: int) -> dict:
-    """Return the outcomes by route, and the highest sustained rates when `rate_seconds` is not 0."""
+    """Return the outcomes by route of bridge and floor, and the bridge's highest rates when `rate_seconds` is not 0."""
     robot = read_robot_files(XACRO, ROBOT_YAML)
     topics = Topics("twin", robot.name)
     with tempfile.TemporaryDirectory() as folder, World(Path(folder)) as world:
@@ -199,17 +224,26 @@ def run(seconds: float, rate_seconds: float, realtime: int) -> dict:
         peer.start()
         far.close()  # so that waiting for the peer ends when the peer does
         bench = Bench(RosEnd(robot.joint_names, tuple(robot.home)), near, process.pid)
-        try:
-            bench.warm_up()
-        except TimeoutError as error:
-            raise SystemExit(f"{error}\n{world.last_lines('bridge')}") from error
-        result = {route: asdict(bench.measure(route, round(RATE * seconds))) for route in ROUTES}
+        result: dict = {"ours": measured(bench, seconds, lambda: world.last_lines("bridge"))}
         result["max_rate_hz"] = {route: highest(bench, route, rate_seconds) for route in ROUTES[:2] if rate_seconds}
+        end([process])
+        payload = JointStringCodec(len(robot.home), config.decimals).encode(tuple(robot.home))
+        floor = Bench(PlainEnd(port, topics, payload), near, world.broker.pid)
+        result["floor"] = measured(floor, seconds, lambda: world.last_lines("mosquitto"))
         near.send(None)
         peer.join(5.0)
         rospy.signal_shutdown("measured")
         release_realtime()
         return result
+
+
+def measured(bench: Bench, seconds: float, last_lines: Callable[[], str]) -> dict[str, dict]:
+    """Return the outcome of each route."""
+    try:
+        bench.warm_up()
+    except TimeoutError as error:
+        raise SystemExit(f"{error}\n{last_lines()}") from error
+    return {route: asdict(bench.measure(route, round(RATE * seconds))) for route in ROUTES}
 
 
 def highest(bench: Bench, route: str, seconds: float) -> float:
@@ -224,7 +258,7 @@ def highest(bench: Bench, route: str, seconds: float) -> float:
 
 def main() -> None:
     """Measure and write."""
-    parser = argparse.ArgumentParser(description="Routes through the bridge, at 250 Hz.")
+    parser = argparse.ArgumentParser(description="Routes through the bridge, and the floor, at 250 Hz.")
     parser.add_argument("--seconds", type=float, required=True, help="per route")
     parser.add_argument("--rate-seconds", type=float, required=True, help="per rate tried for the highest; 0: none")
     parser.add_argument("--realtime", type=int, default=REALTIME, help="SCHED_FIFO priority; 0: none [%(default)s]")

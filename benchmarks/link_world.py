@@ -83,7 +83,7 @@ class World(ExitStack):
         """Start mosquitto with the project's configuration; return its port."""
         self.broker_port = free_port()
         command = [sys.executable, ROOT / "nodes/broker", "--config", ROOT / "config/mosquitto.conf"]
-        self.start("mosquitto", [*command, "--port", self.broker_port, "--realtime", realtime])
+        self.broker = self.start("mosquitto", [*command, "--port", self.broker_port, "--realtime", realtime])
         wait_for(lambda: listens(self.broker_port), 10.0, "mosquitto listening")
         return self.broker_port
 

@@ -3,8 +3,8 @@
 ``python benchmarks/start.py`` (`make bench ARGS=start`) starts bringup.launch with the mock arm again and again, as a person does
 from a shell. `ready_s` is from `roslaunch` to the line that says `ready`, `read_s` the part of it in which roslaunch reads the
 launch files. `idle_cores` and `idle_mb` are of all that roslaunch started, itself and the master included, while the arm stands:
-processor time per time, and memory in which what several processes share counts once (PSS). `help_s` is `twin --help` without
-`rosrun`, which takes its own time.
+processor time per time, and memory in which what several processes share counts once (PSS). `programs` is each program's processor
+time until it is ready, `idle` its cores at rest. `help_s` is `twin --help` without `rosrun`, which takes its own time.
 
 Two commits in turns: ``python benchmarks/turns.py start 90a3d156``. In a folder without a workspace one is built first.
 """
@@ -177,16 +177,33 @@ def measure_start(words: Sequence[str], idle: float) -> dict:
     with launched(words) as launch:
         read = launch.await_line("started roslaunch server")
         ready = launch.await_line("ready; plan with")
+        used = launch.used()
         time.sleep(SETTLE)
         before, began = launch.used(), time.monotonic()
         time.sleep(idle)
         after, passed = launch.used(), time.monotonic() - began
+        programs: Counter[str] = Counter()
+        idles: Counter[str] = Counter()
+        for pid in after:
+            programs[name_of(pid)] += used.get(pid, 0.0)
+            idles[name_of(pid)] += (after[pid] - before.get(pid, 0.0)) / passed
         return {
             "ready_s": ready,
             "read_s": read,
-            "idle_cores": sum(used - before.get(pid, 0.0) for pid, used in after.items()) / passed,
+            "idle_cores": sum(idles.values()),
             "idle_mb": sum(launch.memory().values()),
+            "programs": programs,
+            "idle": idles,
         }
+
+
+def median_of(rows: Sequence[dict]) -> dict:
+    """Return the median of each figure; of names below one another, too."""
+    columns = {name: [row[name] for row in rows if name in row] for row in rows for name in row}
+    return {
+        name: median_of(column) if isinstance(column[0], dict) else round(statistics.median(column), 3)
+        for name, column in columns.items()
+    }
 
 
 def help_seconds() -> float:
@@ -215,7 +232,7 @@ def main() -> None:
     for number in range(options.runs):
         rows.append(measure_start(options.words, options.idle))
         print(f"[start] {number + 1} of {options.runs}: {rows[-1]['ready_s']:.2f} s", flush=True)
-    result = {name: round(statistics.median(row[name] for row in rows), 3) for name in rows[0]}
+    result = median_of(rows)
     result["help_s"] = round(statistics.median(help_seconds() for _ in range(9)), 3)
     write_figures(options.output, result | {"environment": environment()})
 
