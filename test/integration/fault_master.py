@@ -1,14 +1,9 @@
 #!/usr/bin/env python3
 """The ROS master dies in mid-motion: what is connected stays connected, the motion is finished, and both directions go on."""
 
-import ctypes
 import os
-import signal
-import socket
-import subprocess
 import sys
 import tempfile
-import time
 import unittest
 import xmlrpc.client
 
@@ -17,11 +12,10 @@ import rospy
 import rostest
 from construction_twin.msg import Link
 from construction_twin.srv import PlanToJoints
+from started import Started
 from twin_client import LEFT, Stream, TwinClient, wait
 
-BROKER_PORT, RSI_PORT = 18843, 49213
-#: Option of prctl(2): which signal to get when the parent ends.
-_PDEATHSIG = 1
+MASTER_PORT = "18842"
 
 
 class FaultMasterTest(unittest.TestCase):
@@ -29,39 +23,19 @@ class FaultMasterTest(unittest.TestCase):
 
     @classmethod
     def setUpClass(cls):
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
-        os.environ["ROS_MASTER_URI"] = f"http://localhost:{port}"
-        cls.folder = tempfile.TemporaryDirectory()
-        cls.addClassCleanup(cls.folder.cleanup)
-        cls.trace = os.path.join(cls.folder.name, "trace")
-        cls.master = start("rosmaster", "--core", "-p", str(port))
+        os.environ["ROS_MASTER_URI"] = f"http://localhost:{MASTER_PORT}"
+        folder = tempfile.TemporaryDirectory()
+        cls.addClassCleanup(folder.cleanup)
+        cls.trace = f"{folder.name}/trace"
+        cls.master = Started("rosmaster", "--core", "-p", MASTER_PORT).process
         cls.addClassCleanup(cls.master.kill)
-        wait_for(master_answers, "the master")
-        cls.bringup = start(
-            *(
-                "roslaunch",
-                "construction_twin",
-                "bringup.launch",
-                f"broker_port:={BROKER_PORT}",
-                f"rsi_port:={RSI_PORT}",
-            ),
-            f"gateway_trace:={cls.trace}",
-        )
-        cls.addClassCleanup(cls.end_bringup)
-        wait_for(lambda: rosgraph.Master("/test").hasParam("/kr120/gateway/ethernet_xml"), "the bringup's parameters")
+        wait(master_answers, "the master")
+        words = ("broker_port:=18843", "rsi_port:=49213", f"gateway_trace:={cls.trace}")
+        cls.bringup = Started("roslaunch", "construction_twin", "bringup.launch", *words)
+        cls.addClassCleanup(cls.bringup.end)
+        wait(lambda: rosgraph.Master("/test").hasParam("/kr120/gateway/ethernet_xml"), "the bringup's parameters", 40.0)
         rospy.init_node("fault_master")
         cls.client = TwinClient()
-
-    @classmethod
-    def end_bringup(cls):
-        """End roslaunch and with it the nodes."""
-        cls.bringup.send_signal(signal.SIGINT)
-        try:
-            cls.bringup.wait(40.0)
-        finally:
-            cls.bringup.kill()
 
     def test_a_motion_is_finished_without_a_master(self):
         client = self.client
@@ -84,7 +58,7 @@ class FaultMasterTest(unittest.TestCase):
                 stream.wait_for_more(250)
             self.assertTrue(client.armed() and client.in_sync() and client.idle(), client.describe())
             self.assertEqual(client.link.session, session)
-            self.assertIsNone(self.bringup.poll(), "roslaunch has ended")
+            self.assertIsNone(self.bringup.process.poll(), "roslaunch has ended")
             client.assert_trace_within_limits(self.trace)
         self.assertFalse(master_answers())
         # without a master no client finds a service: a new motion begins with a new start of the ROS PC
@@ -93,34 +67,12 @@ class FaultMasterTest(unittest.TestCase):
         self.assertEqual(client.link.state, Link.ARMED)
 
 
-def start(*command: str) -> subprocess.Popen:
-    """Start a process that ends with this one, also when this one is killed at its time limit."""
-    prctl = ctypes.CDLL(None).prctl
-    # the namespace is this test's own
-    environment = {name: value for name, value in os.environ.items() if name != "ROS_NAMESPACE"}
-    return subprocess.Popen(
-        command,
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        preexec_fn=lambda: prctl(_PDEATHSIG, signal.SIGINT),
-    )
-
-
 def master_answers() -> bool:
     """Return whether a master is there."""
     try:
         return bool(rosgraph.Master("/test").getPid())
     except (rosgraph.MasterException, OSError, xmlrpc.client.Error):
         return False
-
-
-def wait_for(condition, what: str, timeout: float = 40.0) -> None:
-    """Wait as `twin_client.wait`, before there is a node."""
-    deadline = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < deadline, f"waited {timeout:g} s in vain for {what}"
-        time.sleep(0.05)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,7 @@
 #!/usr/bin/env python3
 """An arm that is not a KUKA, from its xacro: `new_arm`, the launch file it wrote, plans that are approved and reach the goal."""
 
-import os
 import shutil
-import signal
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -17,6 +14,7 @@ import tf2_ros
 import yaml
 from goal_client import goal_message, reach
 from sensor_msgs.msg import JointState
+from started import Started
 from twin_client import RobotTest, Stream, TwinClient, wait
 
 from construction_twin.kinematics.chain import Chain
@@ -57,33 +55,6 @@ def make_arm(folder: Path) -> Path:
     return made / "ur_like.launch"
 
 
-class Launch:
-    """A roslaunch of the test's own, on rostest's master, and what it has on the screen."""
-
-    def __init__(self, folder: Path, *words: str):
-        self.screen = folder / "screen.txt"
-        # the test's own namespace is not that of the launch
-        environment = {name: value for name, value in os.environ.items() if name != "ROS_NAMESPACE"}
-        with self.screen.open("wb") as screen:
-            self.process = subprocess.Popen(
-                ["roslaunch", *words], stdout=screen, stderr=subprocess.STDOUT, env=environment, start_new_session=True
-            )
-
-    def interrupt(self, patience: float = 40.0) -> str:
-        """End it as Ctrl-C in its terminal does; return what it printed from then on."""
-        before = self.screen.stat().st_size
-        os.killpg(self.process.pid, signal.SIGINT)
-        self.process.wait(patience)
-        with self.screen.open("rb") as screen:
-            screen.seek(before)
-            return screen.read().decode(errors="replace")
-
-    def end(self) -> None:
-        """End it if it still runs."""
-        if self.process.poll() is None:
-            self.interrupt()
-
-
 class AnotherArmTest(RobotTest):
     """Every test begins at rest at home. The last one, by its name, ends the launch."""
 
@@ -95,13 +66,13 @@ class AnotherArmTest(RobotTest):
         launch, monitor = make_arm(cls.folder), cls.folder / "monitor.launch"
         monitor.write_text(PATIENT_MONITOR)
         given = [f"{name}:={rospy.get_param(f'~{name}')}" for name in ("broker_port", "rsi_port", "gateway_trace")]
-        cls.launch = Launch(cls.folder, str(launch), str(monitor), "gui:=marker", *given)
+        cls.launch = Started("roslaunch", str(launch), str(monitor), "gui:=marker", *given)
         cls.addClassCleanup(cls.launch.end)
         try:
             for service in ("plan_to_pose", "plan_cartesian"):
                 rospy.wait_for_service(service, 60.0)
         except rospy.ROSException as error:
-            raise AssertionError(f"{error}; the launch said: {cls.launch.screen.read_text()[-2000:]}") from error
+            raise AssertionError(f"{error}; the launch said: {cls.launch.said()[-2000:]}") from error
         cls.client = TwinClient()
         cls.chain = Chain(cls.client.robot)
         cls.tf = tf2_ros.Buffer()
@@ -168,7 +139,7 @@ class AnotherArmTest(RobotTest):
     def test_when_all_is_ended_by_ctrl_c_nobody_warns(self):
         nodes = self.client.diagnosed_nodes()
         self.assertGreaterEqual(nodes, {"executor", "pca_monitor", "planner", "mqtt_bridge", "scene", "tool_marker"})
-        said = self.launch.interrupt()
+        said = self.launch.end()
         self.assertIn("done", said)
         for word in ("WARN", "ERROR", "FATAL", "Traceback", "Exception", "escalating"):
             self.assertNotIn(word, said)

@@ -1,24 +1,25 @@
 #!/usr/bin/env python3
 """The whole system on a site's broker: TLS, an account for each program, a person at a tablet, and a planner elsewhere."""
 
-import os
+import json
 import shutil
-import signal
-import subprocess
 import sys
 import tempfile
-import threading
 import unittest
+import uuid
 from pathlib import Path
 
+import numpy as np
 import rospy
 import rostest
-from remote_planner import RemotePlanner
-from tablet import Tablet
+from mqtt_listener import MqttListener
+from started import Started
 from twin_client import HOME, LEFT, Stream, TwinClient, wait
 
 from construction_twin.broker.make_site import main as make_site
+from construction_twin.mqtt.client import Broker, load_account
 from construction_twin.mqtt.messages import Control, Topics
+from construction_twin.mqtt.requests import REVIEW, TRAJECTORY
 
 PORT = 18860
 TOPICS = Topics("twin", "kr120")
@@ -29,49 +30,66 @@ class SiteTest(unittest.TestCase):
 
     @classmethod
     def setUpClass(cls):
-        cls.folder = Path(tempfile.mkdtemp())
-        cls.addClassCleanup(shutil.rmtree, cls.folder)
-        site = cls.folder / "site"
+        folder = Path(tempfile.mkdtemp())
+        cls.addClassCleanup(shutil.rmtree, folder)
+        site = folder / "site"
         arguments = ["--host", "localhost", "--robot", "kr120", "--port", str(PORT), "--listen", "127.0.0.1"]
         assert make_site([str(site), *arguments, "--person", "ada:operate", "--person", "anna:operate,approve"]) == 0
-        command = ["roslaunch", "construction_twin", "bringup.launch", f"accounts:={site}/accounts",
-                   "broker_host:=localhost", f"broker_port:={PORT}", "rsi_port:=49260"]  # fmt: skip
-        cls.output: list[str] = []
-        # the test's own namespace is not bringup's
-        outside = {name: value for name, value in os.environ.items() if name != "ROS_NAMESPACE"}
-        launch = subprocess.Popen(
-            command, env=outside, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
-        )
-        threading.Thread(target=lambda: cls.output.extend(launch.stdout), daemon=True).start()
-        cls.addClassCleanup(cls._end, launch)
+        words = (f"accounts:={site}/accounts", "broker_host:=localhost", f"broker_port:={PORT}", "rsi_port:=49260")
+        cls.launch = Started("roslaunch", "construction_twin", "bringup.launch", *words)
+        cls.addClassCleanup(cls.launch.end)
         try:
             wait(lambda: rospy.has_param("gateway/decimals"), "bringup's parameters", 60.0)
         except AssertionError as error:
-            raise AssertionError(f"{error}\n{''.join(cls.output)[-3000:]}") from None
+            raise AssertionError(f"{error}\n{cls.launch.said()[-3000:]}") from None
         rospy.init_node("test_site")
         cls.client = TwinClient()
-        cls.tablet = Tablet(site / "accounts/anna/account.json", PORT, TOPICS)
-        cls.addClassCleanup(cls.tablet.client.disconnect)
-        cls.planner = RemotePlanner(site / "accounts/ada/account.json", PORT, TOPICS)
-        cls.addClassCleanup(cls.planner.client.disconnect)
 
-    @staticmethod
-    def _end(launch: subprocess.Popen) -> None:
-        launch.send_signal(signal.SIGINT)
-        launch.wait(30.0)
+        def at_the_broker(person: str, *topics: str) -> MqttListener:
+            account = load_account(site / f"accounts/{person}/account.json")
+            listener = MqttListener(Broker("localhost", PORT, account=account), *topics)
+            cls.addClassCleanup(listener.close)
+            return listener
+
+        #: A reviewer, and a program that plans elsewhere.
+        cls.tablet = at_the_broker("anna", TOPICS.plan, TOPICS.view, TOPICS.ack_of(REVIEW), TOPICS.stop_ack)
+        cls.planner = at_the_broker("ada", TOPICS.view, TOPICS.ack_of(TRAJECTORY))
 
     def setUp(self):
         try:
             self.client.wait_until_ready()
         except AssertionError as error:
-            self.fail(f"{error}\n{''.join(self.output)[-3000:]}")
+            self.fail(f"{error}\n{self.launch.said()[-3000:]}")
         wait(self.tablet.client.is_connected, "the tablet's connection")
         wait(self.sees_all, "a view with everything in it")
         rospy.wait_for_service("plan_trajectory", 20.0)
 
+    @property
+    def view(self) -> dict:
+        """The newest view."""
+        return self.planner.newest(TOPICS.view)
+
+    def motion_to(self, goal_deg: tuple[float, ...]) -> dict:
+        """Return a motion from where the twin is seen to be, as a program sends it that plans elsewhere."""
+        start = np.rad2deg(self.view["twin"]["positions"]).tolist()
+        return {
+            "id": uuid.uuid4().hex,
+            "units": {"angle": "deg", "length": "mm", "time": "s"},
+            "joint_names": self.view["joints"]["names"],
+            "points": [{"positions": start}, {"positions": goal_deg}],
+            "source": "facade 7",
+            "speed_scale": 0.3,
+        }
+
+    def approve(self, plan: dict) -> None:
+        """Approve a plan at the tablet, with the moment of what it shows."""
+        asked = {"plan_id": plan["id"], "plan_hash": plan["hash"], "verdict": "approved"}
+        asked["moment"] = self.tablet.newest(TOPICS.view)["moment"]
+        self.assertTrue(self.tablet.ask(TOPICS.of(REVIEW, "anna"), asked, TOPICS.ack_of(REVIEW))["ok"])
+
     def sees_all(self) -> bool:
         """Return whether the planner elsewhere sees the whole robot, at rest and ready."""
-        view = self.planner.views[-1] if self.planner.views else {}
+        view = self.view
         states = [(view.get(part) or {}).get("state") for part in ("link", "sync", "execution")]
         return states == ["ARMED", "IN_SYNC", "IDLE"] and bool(view["twin"] and view["arm"])
 
@@ -79,29 +97,27 @@ class SiteTest(unittest.TestCase):
         goal = tuple(0.5 * (a + b) for a, b in zip(HOME, LEFT))
         with Stream("physical/joint_states") as arm, Stream("twin/joint_states") as twin:
             still = arm.positions()
-            answer = self.planner.send(self.planner.motion(goal, source="facade 7", speed_scale=0.3))
+            answer = self.planner.ask(TOPICS.of(TRAJECTORY, "ada"), self.motion_to(goal), TOPICS.ack_of(TRAJECTORY))
             self.assertTrue(answer["ok"], answer)
-            wait(lambda: (self.tablet.plan or {}).get("id") == answer["plan_id"], "the plan at the tablet")
-            plan = self.tablet.plan
+            wait(lambda: self.tablet.newest(TOPICS.plan).get("id") == answer["plan_id"], "the plan at the tablet")
+            plan = self.tablet.newest(TOPICS.plan)
             self.assertEqual(plan["hash"], answer["plan_hash"])
             self.assertEqual(plan["source"], "MQTT account ada, which says it is 'facade 7'")
             self.assertTrue((arm.positions() == still[0]).all(), "the arm moved before anybody had approved")
-            seen = len(self.planner.views)
-            self.assertTrue(self.tablet.verdict(plan, "approved")["ok"])
+            seen = len(self.planner.heard[TOPICS.view])
+            self.approve(plan)
             self.client.wait_for_outcome(answer["plan_id"], "finished")
             self.client.assert_at(goal, twin, arm)
-            wait(
-                lambda: self.planner.views[-1]["execution"]["outcome"] == "finished" and self.sees_all(),
-                "the end in view",
-            )
-            last = self.planner.views[-1]
+            wait(lambda: self.sees_all() and self.view["execution"]["outcome"] == "finished", "the end in view")
+            last = self.view
             for name, stream in (("twin", twin), ("arm", arm)):
                 self.assertEqual(last[name]["positions"], [round(float(value), 9) for value in stream.positions()[-1]])
-        self.check_views([view for view in self.planner.views[seen:] if view["online"]], answer["plan_id"])
+        self.assertEqual({message.retain for message in self.planner.heard[TOPICS.view][seen:]}, {False})
+        views = self.planner.documents(TOPICS.view)[seen:]
+        self.check_views([view for view in views if view["online"]], answer["plan_id"])
 
     def check_views(self, views: list[dict], plan_id: str) -> None:
         """Check what was seen of a plan that was approved and executed."""
-        self.assertEqual({view["retained"] for view in views}, {False})
         self.assertEqual([view["seq"] for view in views], [views[0]["seq"] + k for k in range(len(views))])
         # how far apart they are is in test_view_period.py: here it depends on the machine
         stamps = [view["stamp"] for view in views]
@@ -119,13 +135,13 @@ class SiteTest(unittest.TestCase):
         self.client.go_to(HOME)
         with Stream("physical/joint_states") as arm:
             planned = self.client.plan_to(LEFT)
-            wait(lambda: (self.tablet.plan or {}).get("id") == planned.plan_id, "the plan at the tablet")
+            wait(lambda: self.tablet.newest(TOPICS.plan).get("id") == planned.plan_id, "the plan at the tablet")
             still = arm.positions()[-1]
-            self.assertTrue(self.tablet.verdict(self.tablet.plan, "approved")["ok"])
+            self.approve(self.tablet.newest(TOPICS.plan))
             wait(lambda: abs(arm.positions()[-1] - still).max() > 0.02, "motion")
-            answer = self.tablet.stop()
-            self.assertTrue(answer["ok"], answer)
-            self.assertEqual(answer["account"], "anna")
+            self.tablet.publish(TOPICS.stop_by("anna"), json.dumps({"id": "s"}))
+            stopped = {"id": "s", "by": "gateway", "ok": True, "account": "anna"}.items()
+            wait(lambda: any(stopped <= a.items() for a in self.tablet.documents(TOPICS.stop_ack)), "the answer")
             # by the executor, or by the gate that closes when the gateway brakes: whichever is first
             wait(lambda: self.client.execution.outcome in ("stopped", "held", "dropped"), "the end of the plan")
             wait(lambda: not self.client.armed(), "the end of the session")
@@ -138,7 +154,7 @@ class SiteTest(unittest.TestCase):
         # the right to stop is no right to go on: the reset is the bridge's
         for verb in ("reset", "arm", "speed_limit"):
             control = Control("1", "any", verb, 1.0).to_json()
-            self.assertFalse(self.tablet.may_publish(TOPICS.control, control), verb)
+            self.assertFalse(self.tablet.publish(TOPICS.control, control), verb)
         self.assertFalse(self.client.armed())
         self.client.start_over()
 

@@ -3,7 +3,6 @@
 distance by a program, and a person by MQTT.
 """
 
-import json
 import os
 import signal
 import sys
@@ -13,12 +12,13 @@ import numpy as np
 import rospy
 import rostest
 from construction_twin.msg import Execution, Plan
+from mqtt_listener import MqttListener
 from sensor_msgs.msg import Range
 from std_msgs.msg import Header
 from twin_client import HOME, LEFT, Stream, TwinClient, node_pid, wait
 
 from construction_twin.core.units import CYCLE
-from construction_twin.mqtt.client import Broker, make_client, subscriptions, unique_id
+from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
 from construction_twin.ros.messages.convert import plan_from_msg
 
@@ -26,47 +26,29 @@ from construction_twin.ros.messages.convert import plan_from_msg
 ROUNDING = np.deg2rad(1e-3)
 BROKER_PORT = 18862
 TOPICS = Topics("twin", "kr120")
+ACK = "twin/kr120/speed/ack"
 
 
-class Tablet:
-    """A person's page on a broker without accounts: the newest `view`, and the answers."""
+class Tablet(MqttListener):
+    """A person's page on a broker without accounts."""
 
     def __init__(self):
-        self.view: dict = {}
-        self._answers: dict[str, dict] = {}
-        self._asked = 0
-        self._client = make_client(Broker("127.0.0.1", BROKER_PORT), unique_id("kr120", "tablet"), "unused")
-        topics = [(TOPICS.view, 0), ("twin/kr120/speed/ack", 1)]
-        self._client.on_connect = lambda client, *_: client.subscribe(subscriptions(topics))
-        self._client.on_message = self._on_message
-        self._client.connect_async("127.0.0.1", BROKER_PORT, 10)
-        self._client.loop_start()
+        super().__init__(Broker(port=BROKER_PORT), TOPICS.view, ACK)
         wait(lambda: self.view, "a view")
 
-    def _on_message(self, _client, _userdata, message) -> None:
-        content = json.loads(message.payload)
-        if message.topic == TOPICS.view:
-            self.view = content
-        else:
-            self._answers[content["id"]] = content
+    @property
+    def view(self) -> dict:
+        """The newest view."""
+        return self.newest(TOPICS.view)
 
     def limit(self, fraction: float, **more) -> dict:
         """Ask for a limit; return the answer."""
-        self._asked += 1
-        id_ = f"limit {self._asked}"
         kind = "raise" if "moment" in more else "lower"
-        self._client.publish(f"twin/kr120/{kind}_speed/dora", json.dumps({"id": id_, "limit": fraction, **more}), qos=1)
-        wait(lambda: id_ in self._answers, "an answer on speed/ack")
-        return self._answers[id_]
+        return self.ask(f"twin/kr120/{kind}_speed/dora", {"id": "limit", "limit": fraction, **more}, ACK)
 
     def raise_to(self, fraction: float) -> None:
         """Ask with the newest moment until that shows the last lower limit: on a busy machine it comes late."""
         wait(lambda: self.limit(fraction, moment=self.view["moment"])["ok"], f"a limit of {fraction}")
-
-    def vanish(self) -> None:
-        """Be switched off."""
-        self._client.disconnect()
-        self._client.loop_stop()
 
 
 class Sensor:
@@ -197,14 +179,14 @@ class SpeedLimitTest(unittest.TestCase):
         self.sensor.publish_limit(1.0)
         tablet.raise_to(1.0)
         self.wait_for_rate(1.0)
-        tablet.vanish()
+        tablet.close()
 
     def a_restart_of_the_monitor_raises_nothing(self) -> None:
         """The tablet vanishes, too: only a person with a fresh look raises it."""
         tablet = Tablet()
         self.assertTrue(tablet.limit(0.3)["ok"])
         self.client.wait(lambda: self.client.execution.speed_limit == 0.3, "the person's limit")
-        tablet.vanish()
+        tablet.close()
         seen = len(self.reports)
         pid = node_pid("pca_monitor")
         os.kill(pid, signal.SIGKILL)
@@ -217,7 +199,7 @@ class SpeedLimitTest(unittest.TestCase):
         self.assertFalse(tablet.limit(1.0)["ok"])
         tablet.raise_to(1.0)
         self.client.wait(lambda: self.client.execution.speed_limit == 1.0, "no limit")
-        tablet.vanish()
+        tablet.close()
 
     def assert_on_the_path(self, plan: Plan, stream: Stream) -> None:
         """No pose is further from the plan's path than rounding, however fast it was passed."""

@@ -12,10 +12,10 @@ import time
 import rospy
 import rostest
 from construction_twin.msg import Link
-from paho.mqtt import client as paho
-from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from mqtt_listener import MqttListener
 from twin_client import RobotTest, TwinClient, case, node_pid, wait
 
+from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
 
 TOPICS = Topics("twin", "kr120")
@@ -34,31 +34,23 @@ class StopAndResetTest(RobotTest):
     def setUpClass(cls):
         rospy.init_node("test_stop_and_reset")
         cls.client = TwinClient()
-        cls.answers: list[dict] = []
-        cls.status: dict = {}
-        cls.cleared: list[int] = []
         cls.ids = map(str, itertools.count(1))
-        cls.phone = paho.Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
-        cls.phone.on_connect = lambda client, *_: client.subscribe(
-            [(TOPICS.stop_ack, 1), (TOPICS.status, 1), (TOPICS.control, 1)]
-        )
-        cls.phone.on_message = cls.on_message
-        cls.phone.connect("127.0.0.1", rospy.get_param("mqtt_bridge/port"))
-        cls.phone.loop_start()
-        cls.addClassCleanup(cls.phone.loop_stop)
-        cls.addClassCleanup(cls.phone.disconnect)
-        wait(lambda: cls.status, "the phone to hear the gateway")
+        broker = Broker(port=rospy.get_param("mqtt_bridge/port"))
+        cls.phone = MqttListener(broker, TOPICS.stop_ack, TOPICS.status, TOPICS.control)
+        cls.addClassCleanup(cls.phone.close)
+        wait(lambda: cls.phone.heard[TOPICS.status], "the phone to hear the gateway")
 
-    @classmethod
-    def on_message(cls, _client, _userdata, message):
-        document = json.loads(message.payload)
-        if message.topic == TOPICS.stop_ack:
-            cls.answers.append(document)
-        elif message.topic == TOPICS.control:
-            if document["verb"] == "reset":
-                cls.cleared.append(document["value"]["fault_number"])
-        elif document.get("run") and document["state"] != "offline":
-            cls.status = document
+    @property
+    def status(self) -> dict:
+        """The gateway's newest status, of a gateway that runs."""
+        found = (json.loads(message.payload) for message in reversed(self.phone.heard[TOPICS.status]))
+        return next(status for status in found if status.get("run") and status["state"] != "offline")
+
+    @property
+    def cleared(self) -> list[int]:
+        """The stops that `reset` has named on the wire."""
+        controls = self.phone.documents(TOPICS.control)
+        return [control["value"]["fault_number"] for control in controls if control["verb"] == "reset"]
 
     def setUp(self):
         self.client.start_over()
@@ -66,8 +58,9 @@ class StopAndResetTest(RobotTest):
     def stop(self) -> None:
         """Stop by `stop/anna`, and wait until the gateway has answered."""
         id_ = next(self.ids)
-        self.phone.publish(TOPICS.stop_by("anna"), json.dumps({"id": id_}), qos=1)
-        wait(lambda: any(a["id"] == id_ and a["by"] == "gateway" and a["ok"] for a in self.answers), "the answer")
+        self.phone.publish(TOPICS.stop_by("anna"), json.dumps({"id": id_}))
+        answer = {"id": id_, "by": "gateway", "ok": True}.items()
+        wait(lambda: any(answer <= a.items() for a in self.phone.documents(TOPICS.stop_ack)), "the answer")
 
     def wait_until_stopped(self) -> None:
         """Wait until the bridge says so, in a report that is sent after this call."""

@@ -19,6 +19,7 @@ from construction_twin.evaluation.alignment import align_lag_removed, task_windo
 from construction_twin.evaluation.bag import read_recording
 from construction_twin.evaluation.report import write_report
 from construction_twin.kinematics.chain import Chain
+from construction_twin.mqtt.client import Broker
 from construction_twin.ros.commands.experiment import Recorder
 
 #: In the robot's order: the track [mm], then A1 to A6 [deg]; no two alike.
@@ -26,6 +27,7 @@ HOME = (0.0, 0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 GOAL = (612.3, 11.0, -80.0, 85.0, 24.0, 65.0, -36.0)
 #: The same as the wire has it.
 GOAL_STRING = b"+011.000,-080.000,+085.000,+024.000,+065.000,-036.000,+00612.300"
+WIRE = ("twin/kr120/command", "twin/kr120/state")
 #: Half of the last digit of a mm, and what the corrections' six decimals add [m].
 FINAL_TRACK_ERROR = 5.1e-7
 #: What the track moves in one cycle at the speed of the motion to `GOAL`, generously; in mm it would be a thousand times that [m].
@@ -42,11 +44,8 @@ class TrackTest(RobotTest):
         cls.chain = Chain(cls.client.robot)
         for service in ("plan_to_pose", "plan_cartesian"):
             rospy.wait_for_service(service, 60.0)
-        cls.mqtt = MqttListener(rospy.get_param("~broker_port"), ("twin/kr120/command", "twin/kr120/state"))
-
-    @classmethod
-    def tearDownClass(cls):
-        cls.mqtt.close()
+        cls.mqtt = MqttListener(Broker(port=rospy.get_param("mqtt_bridge/port")), *WIRE)
+        cls.addClassCleanup(cls.mqtt.close)
 
     def setUp(self):
         self.begin(60.0)
@@ -59,9 +58,10 @@ class TrackTest(RobotTest):
             self.client.execute(self.client.plan_to(GOAL, 3.0), arm)
             self.client.assert_at(GOAL, arm, physical)
             self.assertLess(abs(arm.positions(-1)[0][0] - 0.6123), FINAL_TRACK_ERROR)
-            for topic in ("twin/kr120/command", "twin/kr120/state"):
+            for topic in WIRE:
+                messages = self.mqtt.heard[topic]
                 with case(topic):
-                    self.client.wait(lambda t=topic: self.mqtt.last.get(t) == GOAL_STRING, f"{GOAL_STRING} on {topic}")
+                    self.client.wait(lambda m=messages: m and m[-1].payload == GOAL_STRING, f"{GOAL_STRING}")
             self.client.assert_within_limits(arm, missed)
 
     def test_tf_puts_the_arm_where_the_track_is(self):
