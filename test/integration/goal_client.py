@@ -37,8 +37,7 @@ def reach(robot: TwinClient, goal) -> None:
     # a refusal ends the goal, and has its reason in the status
     robot.wait(lambda: len(robot.plans) > count or action.get_state() > GoalStatus.ACTIVE, "a plan")
     assert len(robot.plans) > count, action.get_goal_status_text()
-    answer = robot.review(robot.plans[-1].id, robot.plans[-1].hash)
-    assert answer.success, answer.message
+    robot.approve(robot.plans[-1])
     assert action.wait_for_result(rospy.Duration(30.0)), action.get_goal_status_text()
     assert action.get_state() == GoalStatus.SUCCEEDED, action.get_goal_status_text()
 

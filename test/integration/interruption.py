@@ -7,18 +7,13 @@ from collections.abc import Callable
 import numpy as np
 import rospy
 from construction_twin.msg import Link, Sync
-from twin_client import FINAL_ERROR, HOME, LEFT, RobotTest, Stream, TwinClient, node_pid, wait
+from twin_client import FINAL_ERROR, HOME, LEFT, RobotTest, Stream, node_pid, wait
 
 from construction_twin.core.units import radians
 
 
 class Interruption(RobotTest):
     """One interruption per test, each in the middle of a motion from home."""
-
-    @classmethod
-    def setUpClass(cls):
-        rospy.init_node("interruption")
-        cls.client = TwinClient()
 
     def setUp(self):
         self.begin()

@@ -11,18 +11,13 @@ import rospy
 import rostest
 from construction_twin.msg import Feedback, Link
 from construction_twin.srv import ActAsSeen
-from twin_client import HOME, LEFT, RobotTest, Stream, TwinClient, wait
+from twin_client import HOME, LEFT, RobotTest, Stream, wait
 
 from construction_twin.link.bare_supervisor import NOT_CHECKED
 
 
 class BarePlcTest(RobotTest):
     """One PLC, a person named Ada, another named Grace."""
-
-    @classmethod
-    def setUpClass(cls):
-        rospy.init_node("bare_plc_test")
-        cls.client = TwinClient()
 
     def arm(self, name: str):
         """Arm by name as soon as the arm rests, then wait until a plan could be approved."""

@@ -11,7 +11,7 @@ import tf2_ros
 from construction_twin.msg import Feedback, Sync
 from sensor_msgs.msg import JointState
 from started import Started
-from twin_client import HOME, RobotTest, Stream, TwinClient, case, wait
+from twin_client import HOME, RobotTest, Stream, case, wait
 
 from construction_twin.core.units import NANOSECONDS, radians
 from construction_twin.ros.shared.master import running
@@ -52,11 +52,6 @@ class Rate:
 
 class BringupTest(RobotTest):
     """The idle system."""
-
-    @classmethod
-    def setUpClass(cls):
-        rospy.init_node("test_bringup")
-        cls.client = TwinClient()
 
     def setUp(self):
         self.begin()

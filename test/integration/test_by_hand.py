@@ -10,7 +10,7 @@ import rospkg
 import rospy
 import rostest
 from construction_twin.msg import Review
-from twin_client import HOME, LEFT, RobotTest, Stream, TwinClient, wait
+from twin_client import HOME, LEFT, RobotTest, Stream, wait
 from visualization_msgs.msg import InteractiveMarkerFeedback, InteractiveMarkerInit, MarkerArray
 
 from construction_twin.core.units import radians
@@ -107,8 +107,7 @@ class ByHandTest(RobotTest):
 
     @classmethod
     def setUpClass(cls):
-        rospy.init_node("test_by_hand")
-        cls.client = TwinClient()
+        super().setUpClass()
         cls.chain = Chain(cls.client.robot)
         cls.client.wait_until_ready()
         cls.rviz = Rviz()

@@ -15,7 +15,7 @@ import paho.mqtt.client as mqtt
 import rospy
 import rostest
 from construction_twin.msg import Execution
-from twin_client import LEFT, RobotTest, Stream, TwinClient, wait
+from twin_client import LEFT, RobotTest, Stream, wait
 
 from construction_twin.core.freshness import parse_moment, present_moment, staleness
 from construction_twin.core.units import from_wire
@@ -121,8 +121,7 @@ def get(path: str, cookie: str = "") -> http.client.HTTPResponse:
 class ConsoleTest(RobotTest):
     @classmethod
     def setUpClass(cls):
-        rospy.init_node("test_console")
-        cls.client = TwinClient()
+        super().setUpClass()
         cls.console = Console()
         cls.addClassCleanup(cls.console.close)
         for service in ("plan_to_joints", "plan_to_pose", "plan_cartesian", "review_plan"):

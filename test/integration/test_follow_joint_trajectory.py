@@ -24,7 +24,7 @@ from control_msgs.msg import (
     FollowJointTrajectoryResult,
 )
 from goal_client import goal_message
-from twin_client import RobotTest, Stream, TwinClient, wait
+from twin_client import RobotTest, Stream, wait
 
 ACTION = "follow_joint_trajectory"
 #: A motion of this much on these joints [rad], in this time [s].
@@ -76,8 +76,7 @@ class FollowJointTrajectoryTest(RobotTest):
 
     @classmethod
     def setUpClass(cls):
-        rospy.init_node("test_follow_joint_trajectory")
-        cls.client = TwinClient()
+        super().setUpClass()
         cls.joints = list(cls.client.robot.joint_names)
         cls.action = actionlib.SimpleActionClient(ACTION, FollowJointTrajectoryAction)
         assert cls.action.wait_for_server(rospy.Duration(40.0))
@@ -122,8 +121,7 @@ class FollowJointTrajectoryTest(RobotTest):
 
     def approve(self, plan):
         """Approve a plan and wait until it moves."""
-        answer = self.client.review(plan.id, plan.hash)
-        self.assertTrue(answer.success, answer.message)
+        self.client.approve(plan)
         self.client.wait(lambda: self.client.execution.plan_id == plan.id, "the plan to be played")
 
     def assert_result(self, state: int, code: int, *words: str, action=None):

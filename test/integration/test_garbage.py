@@ -26,7 +26,7 @@ from construction_twin.msg import (
 from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from played_bag import RefusalLog, excerpt, play, subscribers, write
-from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient
+from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream
 
 from construction_twin.core.units import radians
 from construction_twin.gateway.command_intake import REMEMBERED
@@ -90,8 +90,7 @@ class GarbageTest(RobotTest):
 
     @classmethod
     def setUpClass(cls):
-        rospy.init_node("test_garbage")
-        cls.client = TwinClient()
+        super().setUpClass()
         cls.topics = Topics(rospy.get_param("mqtt_bridge/prefix"), "kr120")
         cls.mqtt = paho.Client(CallbackAPIVersion.VERSION2, protocol=MQTTProtocolVersion.MQTTv5)
         cls.heard_seq = 0

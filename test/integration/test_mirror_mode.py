@@ -2,14 +2,13 @@
 """Mirror mode with the whole system: the twin follows the arm's own program, nothing is commanded, and neither jumps."""
 
 import sys
-import unittest
 
 import numpy as np
 import rospy
 import rostest
 from construction_twin.msg import Link, Sync
 from std_srvs.srv import SetBool
-from twin_client import LEFT, Stream, TwinClient
+from twin_client import LEFT, RobotTest, Stream
 
 from construction_twin.core.units import radians
 
@@ -17,13 +16,12 @@ from construction_twin.core.units import radians
 JOGGED = (10.0, -85.0, 85.0, 5.0, 85.0, -10.0)
 
 
-class MirrorTest(unittest.TestCase):
+class MirrorTest(RobotTest):
     """One robot: command, mirror, command, halt."""
 
     @classmethod
     def setUpClass(cls):
-        rospy.init_node("test_mirror_mode")
-        cls.client = TwinClient()
+        super().setUpClass()
         cls.mirror = rospy.ServiceProxy("mirror", SetBool)
 
     def test_the_arm_leads_and_then_follows_again(self):

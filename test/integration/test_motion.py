@@ -19,7 +19,7 @@ from construction_twin.srv import (
 )
 from geometry_msgs.msg import Point, Pose, Quaternion
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
-from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, wait
+from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, wait
 
 from construction_twin.core.units import radians
 from construction_twin.kinematics.chain import Chain
@@ -40,8 +40,7 @@ class MotionTest(RobotTest):
 
     @classmethod
     def setUpClass(cls):
-        rospy.init_node("test_motion")
-        cls.client = TwinClient()
+        super().setUpClass()
         cls.chain = Chain(cls.client.robot)
         cls.scenes: list[Scene] = []
         rospy.Subscriber("scene", Scene, cls.scenes.append)
@@ -96,8 +95,7 @@ class MotionTest(RobotTest):
                 )
             )
             self.assertFalse(self.client.review(rejected.plan_id, rejected.plan_hash).success)
-            answer = self.client.review(plan.plan_id, plan.plan_hash)
-            self.assertTrue(answer.success, answer.message)
+            self.client.approve(plan)
             self.client.wait_for_outcome(plan.plan_id, "finished", 60.0)
             self.client.assert_at(LEFT, twin, arm)
             self.client.assert_within_limits(arm, missed)
@@ -143,8 +141,7 @@ class MotionTest(RobotTest):
         self.assertEqual(answer.fraction, 1.0)
         self.client.wait(lambda: self.client.plans and self.client.plans[-1].id == answer.plan_id, "the plan")
         with Stream("mock_rsi/joint_states") as arm, Stream("twin/joint_states") as twin:
-            verdict = self.client.review(answer.plan_id, answer.plan_hash)
-            self.assertTrue(verdict.success, verdict.message)
+            self.client.approve(answer)
             self.client.wait_for_outcome(answer.plan_id, "finished", 60.0)
             wait(arm.at_rest, "the arm to rest")
             tool, twins = self.tool(arm), self.tool(twin)
@@ -167,7 +164,7 @@ class MotionTest(RobotTest):
             answer = self.plan_csv(rows)
             self.assertTrue(answer.success, answer.message)
             self.client.wait(lambda: self.client.plans and self.client.plans[-1].id == answer.plan_id, "the plan")
-            self.assertTrue(self.client.review(answer.plan_id, answer.plan_hash).success)
+            self.client.approve(answer)
             self.client.wait_for_outcome(answer.plan_id, "finished", 60.0)
             self.client.assert_at(RIGHT, arm)
         self.client.wait_until_ready()
@@ -210,8 +207,7 @@ class MotionTest(RobotTest):
             wait(lambda: len(outcomes) >= 30, "30 answers")
             (plan,) = self.client.plans[plans:]
             self.assertEqual({outcome.plan_id for outcome in outcomes}, {plan.id})
-            answer = self.client.review(plan.id, plan.hash)
-            self.assertTrue(answer.success, answer.message)
+            self.client.approve(plan)
             self.client.wait_for_outcome(plan.id, "finished")
             # it is still sent, and begins elsewhere
             wait(lambda: not any(outcome.success for outcome in outcomes[-10:]), "10 refusals")

@@ -32,10 +32,11 @@ SETTLED = 1e-4
 class PhysicsTwinTest(RobotTest):
     """Motions from home, one after the other."""
 
+    client_class = RehearsedClient
+
     @classmethod
     def setUpClass(cls):
-        rospy.init_node("test_physics_twin")
-        cls.client = RehearsedClient()
+        super().setUpClass()
         cls.transitions: list[Transition] = []
         rospy.Subscriber("transitions", Transition, cls.transitions.append)
 

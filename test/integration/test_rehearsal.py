@@ -22,10 +22,7 @@ BLOCK = (0.6, 0.8, 0.5)
 class RehearsalTest(RobotTest):
     """Every test begins at rest at home, with nothing on the flange."""
 
-    @classmethod
-    def setUpClass(cls):
-        rospy.init_node("test_rehearsal")
-        cls.client = RehearsedClient()
+    client_class = RehearsedClient
 
     def setUp(self):
         self.begin()
@@ -43,8 +40,7 @@ class RehearsalTest(RobotTest):
 
         wait(counted, "the stranger to be counted", 5.0)
         publisher.unregister()
-        answer = self.client.review(plan.plan_id, plan.plan_hash)
-        self.assertTrue(answer.success, answer.message)
+        self.client.approve(plan)
         self.client.wait_for_outcome(plan.plan_id, "finished")
         self.client.wait_until_ready()
         self.assertEqual(self.client.recorded(plan.plan_id)["rehearsal"]["state"], PASSED)

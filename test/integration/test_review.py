@@ -8,7 +8,7 @@ import rosnode
 import rospy
 import rostest
 from sensor_msgs.msg import JointState
-from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, case, wait
+from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, case, wait
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.extensions import import_extension, node_modules
@@ -21,21 +21,9 @@ WATCH = 300
 class ReviewTest(RobotTest):
     """Plans, verdicts and what the arm makes of them. Every test begins at rest at home."""
 
-    @classmethod
-    def setUpClass(cls):
-        rospy.init_node("test_review")
-        cls.client = TwinClient()
-
     def setUp(self):
         self.begin()
         self.client.go_to(HOME)
-
-    def assert_rests(self, stream: Stream):
-        """The arm stays exactly where it is for `WATCH` cycles."""
-        since = len(stream.messages)
-        stream.wait_for_more(WATCH)
-        positions = stream.positions(since)
-        np.testing.assert_array_equal(positions, np.broadcast_to(positions[0], positions.shape))
 
     def test_no_extension_is_there(self):
         """Whatever else these tests show, it holds without extensions: none of their nodes is one of ROS."""
@@ -54,11 +42,11 @@ class ReviewTest(RobotTest):
     def test_plan_without_approval_moves_nothing(self):
         with Stream("mock_rsi/joint_states") as arm:
             plan = self.client.plan_to(RIGHT)
-            self.assert_rests(arm)
+            arm.assert_still(WATCH)
             self.assertTrue(self.client.review(plan.plan_id, plan.plan_hash, approve=False).success)
-            self.assert_rests(arm)
+            arm.assert_still(WATCH)
             self.assertFalse(self.client.review(plan.plan_id, plan.plan_hash).success, "a rejected plan was approved")
-            self.assert_rests(arm)
+            arm.assert_still(WATCH)
 
     def test_approved_plan_is_executed_once(self):
         missed = self.client.mock_counter("missed")
@@ -73,7 +61,7 @@ class ReviewTest(RobotTest):
             again = self.client.review(plan.plan_id, plan.plan_hash)
             self.assertFalse(again.success)
             self.assertIn("decided already", again.message)
-            self.assert_rests(arm)
+            arm.assert_still(WATCH)
             self.client.assert_within_limits(arm, missed)
         self.client.assert_late_replies_were_late()
         self.client.wait_until_ready()
@@ -105,7 +93,7 @@ class ReviewTest(RobotTest):
                 wait(lambda: publisher.get_num_connections() >= len(nodes), f"subscribers of {topic}")
                 for node in nodes:
                     self.publish_until(publisher, far, lambda: self.refused(node) > before[node])
-                self.assert_rests(arm)
+                arm.assert_still(WATCH)
                 self.assertTrue(twin.at_rest())
                 publisher.unregister()
         self.assertTrue(self.client.armed() and self.client.in_sync(), self.client.describe())

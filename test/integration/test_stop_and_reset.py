@@ -13,7 +13,7 @@ import rospy
 import rostest
 from construction_twin.msg import Link
 from mqtt_listener import MqttListener
-from twin_client import RobotTest, TwinClient, case, node_pid, wait
+from twin_client import RobotTest, case, node_pid, wait
 
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
@@ -32,8 +32,7 @@ TRIES = 20
 class StopAndResetTest(RobotTest):
     @classmethod
     def setUpClass(cls):
-        rospy.init_node("test_stop_and_reset")
-        cls.client = TwinClient()
+        super().setUpClass()
         cls.ids = map(str, itertools.count(1))
         broker = Broker(port=rospy.get_param("mqtt_bridge/port"))
         cls.phone = MqttListener(broker, TOPICS.stop_ack, TOPICS.status, TOPICS.control)

@@ -12,7 +12,7 @@ import tf2_ros
 from construction_twin.srv import PlanToPose
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from mqtt_listener import MqttListener
-from twin_client import RobotTest, Stream, TwinClient, case
+from twin_client import RobotTest, Stream, case
 
 from construction_twin.core.units import CYCLE_NS
 from construction_twin.evaluation.alignment import align_lag_removed, task_window
@@ -39,8 +39,7 @@ class TrackTest(RobotTest):
 
     @classmethod
     def setUpClass(cls):
-        rospy.init_node("test_track")
-        cls.client = TwinClient()
+        super().setUpClass()
         cls.chain = Chain(cls.client.robot)
         for service in ("plan_to_pose", "plan_cartesian"):
             rospy.wait_for_service(service, 60.0)

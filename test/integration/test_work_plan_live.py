@@ -11,7 +11,7 @@ import rostest
 from construction_twin.msg import Execution, Scene, WorkSegment
 from construction_twin.srv import EditScene, PlanToJoints, PlanWork
 from std_srvs.srv import Trigger
-from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, TwinClient, wait
+from twin_client import HOME, LEFT, RIGHT, RobotTest, Stream, wait
 
 from construction_twin.kinematics.chain import Chain
 from construction_twin.planning.pipeline import PACE
@@ -37,8 +37,7 @@ class WorkPlanTest(RobotTest):
 
     @classmethod
     def setUpClass(cls):
-        rospy.init_node("test_work_plan")
-        cls.client = TwinClient()
+        super().setUpClass()
         chain = Chain(cls.client.robot)
         cls.stock, cls.built = (standing(chain, cls.client.si(pose)) for pose in (RIGHT, HOME))
         cls.executions: list[Execution] = []
@@ -83,8 +82,7 @@ class WorkPlanTest(RobotTest):
 
         self.client.wait(planned, "a plan in the present scene")
         plan = plan_from_msg(self.client.plans[-1])
-        verdict = self.client.review(plan.id, plan.hash)
-        self.assertTrue(verdict.success, verdict.message)
+        self.client.approve(plan)
         return plan
 
     def change_the_scene(self, put) -> str:
@@ -139,8 +137,7 @@ class WorkPlanTest(RobotTest):
             back = plan_from_msg(self.client.plans[-1])
             self.assertEqual((back.task, back.segments[0].engaged), ("task-1", True))
             since = len(twin.messages)
-            verdict = self.client.review(back.id, back.hash)
-            self.assertTrue(verdict.success, verdict.message)
+            self.client.approve(back)
             self.client.wait_for_outcome(back.id, "finished", 1.0 / PACE * plan.trajectory.duration + 20.0)
             way = plan.trajectory.sample_many(np.arange(plan.segments[0].end, plan.segments[1].end, 0.002))[0]
             off = max(float(nearest_on_lines(way[:-1], way[1:], q)[1].min()) for q in twin.positions(since)[::20])

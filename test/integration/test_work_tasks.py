@@ -15,7 +15,7 @@ import rostest
 from construction_twin.msg import Execution, Scene, ToolState, WorkTasks
 from construction_twin.srv import EditScene, WorkDecide, WorkPlanTask
 from geometry_msgs.msg import PoseStamped
-from twin_client import RobotTest, TwinClient, node_pid
+from twin_client import RobotTest, node_pid
 
 from construction_twin.core.append_only import read_lines
 from construction_twin.ros.shared.params import ros_home
@@ -35,8 +35,7 @@ class WorkTest(RobotTest):
 
     @classmethod
     def setUpClass(cls):
-        rospy.init_node("test_work_tasks")
-        cls.client = TwinClient()
+        super().setUpClass()
         cls.tasks = cls.scene = cls.tool = None
         rospy.Subscriber("tool", ToolState, lambda message: setattr(cls, "tool", message))
         rospy.Subscriber("work/tasks", WorkTasks, lambda message: setattr(cls, "tasks", message))
@@ -67,8 +66,7 @@ class WorkTest(RobotTest):
         return answer
 
     def approve(self, answer) -> None:
-        verdict = self.client.review(answer.plan_id, answer.plan_hash)
-        self.assertTrue(verdict.success, verdict.message)
+        self.client.approve(answer)
 
     def carrying(self, number: int):
         """Return the answer with the plan that carries an element now."""

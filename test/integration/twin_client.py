@@ -247,19 +247,23 @@ class TwinClient:
         self.wait(answered, "the executor to know the plan", 2.0)
         return answers[-1]
 
+    def approve(self, plan: Plan | PlanToJointsResponse) -> None:
+        """Approve a plan, or that of a planner's answer."""
+        named = (plan.id, plan.hash) if isinstance(plan, Plan) else (plan.plan_id, plan.plan_hash)
+        answer = self.review(*named)
+        assert answer.success, answer.message
+
     def start(self, goal_deg: Sequence[float], duration: float = 2.5) -> PlanToJointsResponse:
         """Plan and approve a motion; return its plan."""
         plan = self.plan_to(goal_deg, duration)
-        answer = self.review(plan.plan_id, plan.plan_hash)
-        assert answer.success, answer.message
+        self.approve(plan)
         return plan
 
     def execute(self, answer, arm: Stream) -> np.ndarray:
         """Approve a plan, wait for its end and return where the mock arm, heard by `arm`, then rests, shape (n,) [rad], [m]."""
         assert answer.success, answer.message
         self.wait(lambda: self.plans and self.plans[-1].id == answer.plan_id, "the plan")
-        verdict = self.review(answer.plan_id, answer.plan_hash)
-        assert verdict.success, verdict.message
+        self.approve(answer)
         self.wait_for_outcome(answer.plan_id, "finished", answer.duration + 20.0)
         self.wait(arm.at_rest, "the arm to rest")
         return arm.positions(-1)[0]
@@ -446,7 +450,13 @@ class RobotTest(unittest.TestCase):
     """Tests of one robot that follow each other: what a failed one leaves for a person must not fail the rest, too."""
 
     client: TwinClient
+    client_class = TwinClient
     _after_a_failure = False
+
+    @classmethod
+    def setUpClass(cls):
+        rospy.init_node("test")
+        cls.client = cls.client_class()
 
     def run(self, result=None):
         """Run one test; see `unittest.TestCase`."""
