@@ -50,17 +50,17 @@ PER_CORE, MOST = 2, 6
 #: What a file counts that is not in the list of durations [s]; processor time of the fast tests, and of the longest among them.
 SHORT, FAST, LONGEST_FAST = 0.5, 240.0, 10.0
 #: Launch tests that count rates or late replies: nothing runs beside them.
-ALONE = ("bringup", "experiment", "physics_twin")
+ALONE = ("experiment", "physics_twin")
 #: The launch tests of a folder; `unit`, `repository`: all of these, because testmon sees Python only; `realtime`: those at 250 Hz.
 TOUCHES = {
-    "src/construction_twin/core": "realtime bringup kill",
-    "src/construction_twin/controller": "realtime bringup kill",
-    "src/construction_twin/rsi": "realtime bringup kill",
-    "src/construction_twin/gateway": "realtime bringup kill",
-    "src/construction_twin/mock": "realtime bringup kill",
-    "src/construction_twin/mqtt": "realtime bringup kill site bare_plc",
+    "src/construction_twin/core": "realtime kill",
+    "src/construction_twin/controller": "realtime kill",
+    "src/construction_twin/rsi": "realtime kill",
+    "src/construction_twin/gateway": "realtime kill",
+    "src/construction_twin/mock": "realtime kill",
+    "src/construction_twin/mqtt": "realtime kill site bare_plc",
     "src/construction_twin/broker": "site",
-    "src/construction_twin/link": "bringup kill bare_plc",
+    "src/construction_twin/link": "kill bare_plc",
     "src/construction_twin/execution": "motion review",
     "src/construction_twin/review": "review",
     "src/construction_twin/monitor": "review",
@@ -73,15 +73,15 @@ TOUCHES = {
     "src/construction_twin/servo": "kill physics_twin",
     "src/construction_twin/twin": "kill physics_twin",
     "src/construction_twin/views": "motion operator",
-    "src/construction_twin/ros": "bringup kill motion operator",
+    "src/construction_twin/ros": "kill motion operator",
     "src/construction_twin/extensions/work": "work_tasks",
     "src/construction_twin/extensions/physics": "physics_twin rehearsal",
     "src/construction_twin/extensions/console": "operator browser",
     "src/construction_twin/extensions/planners": "follow_joint_trajectory",
     "config/scenarios": "scenario_estop",
     "config": "unit",
-    "launch": "unit bringup two_robots",
-    "nodes": "repository bringup",
+    "launch": "unit kill two_robots",
+    "nodes": "repository kill",
     "docs": "repository",
     "krl": "unit",
     "matlab": "repository",

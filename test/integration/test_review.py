@@ -15,7 +15,7 @@ from construction_twin.core.extensions import import_extension, node_modules
 from construction_twin.core.units import radians
 
 #: Cycles over which an arm that must not move is watched.
-WATCH = 300
+WATCH = 100
 
 
 class ReviewTest(RobotTest):
