@@ -1,7 +1,7 @@
 """A designer at work: runs the components of examples/grasshopper as Grasshopper does, with inputs as globals, outputs read back.
 
-Run by test_grasshopper with the Python of .ws/grasshopper: ``python grasshopper_session.py designer PORT ACCOUNT URDF SCHEMA``.
-Prints what it saw as JSON. It knows nothing of construction_twin.
+Run by test_grasshopper with the Python of .ws/grasshopper: ``python grasshopper_session.py PORT ACCOUNT URDF SCHEMA``.
+Prints lines of JSON: what it saw, then how the view goes and comes back, and the end. It knows nothing of construction_twin.
 """
 
 import json
@@ -109,20 +109,16 @@ def designer(port, account, urdf, schema):
     answered = send(twin, JointTrajectory(points, names))
     said["fast"] = {"ok": answered.ok, "text": answered.text}
     said["no trajectory"] = component("send", twin=twin, trajectory="x", source="", send=True).text
-    said["off"] = component("connect", on=False, **where).text
-    print(json.dumps(said))
+    print(json.dumps(said), flush=True)
 
-
-def patient(port, account, urdf):
-    """See the view go and come back; a line for each."""
-    where = {"host": "localhost", "port": int(port), "account": account, "robot": "kr120", "prefix": ""}
-    twin = component("connect", on=True, **where).twin
-    for fresh in (True, False, True):
+    # the view goes and comes back: a line for each
+    for fresh in (False, True):
         seen = until(
             lambda: component("view", twin=twin, urdf=urdf, units="mm"), lambda seen: seen.fresh is fresh, 60.0
         )
         print(json.dumps({"fresh": seen.fresh, "text": seen.text}), flush=True)
+    print(json.dumps(component("connect", on=False, **where).text), flush=True)
 
 
 if __name__ == "__main__":
-    {run.__name__: run for run in (designer, patient)}[sys.argv[1]](*sys.argv[2:])
+    designer(*sys.argv[1:])

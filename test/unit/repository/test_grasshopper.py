@@ -158,21 +158,24 @@ def distance(point: np.ndarray, path: np.ndarray) -> float:
     return float(np.linalg.norm(begin + fraction[:, None] * along - point, axis=1).min())
 
 
-def run(python, *arguments) -> dict:
-    done = subprocess.run([python, SESSION, *map(str, arguments)], capture_output=True, text=True, timeout=120.0)
-    assert done.returncode == 0, done.stderr[-3000:]
-    return json.loads(done.stdout.splitlines()[-1])
-
-
 @pytest.fixture(scope="module")
-def session(cell, python, tmp_path_factory):
-    """What a designer saw."""
+def designer(cell, python, tmp_path_factory):
+    """A designer's session, which prints what it sees."""
     urdf = tmp_path_factory.mktemp("urdf") / "kr120.urdf"
     urdf.write_text(expand_xacro(str(XACRO), {}))
     account = cell.site.folder / "accounts/ada/account.json"
     schema = urdf.with_name("view.schema.json")
     schema.write_text(schemas.view_schema())
-    return run(python, "designer", cell.site.site.port, account, urdf, schema)
+    command = [python, SESSION, *map(str, (cell.site.site.port, account, urdf, schema))]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        yield process
+        process.kill()
+
+
+@pytest.fixture(scope="module")
+def session(designer):
+    """What the designer saw and sent."""
+    return json.loads(designer.stdout.readline())
 
 
 def test_the_designer_sees_twin_and_arm(session):
@@ -216,25 +219,16 @@ def test_times_are_kept_and_what_is_too_fast_is_refused_with_the_planner_s_sente
     assert "all velocities are zero, which compas_fab writes where none are given" in session["timed"]["text"]
     assert session["fast"]["ok"] is False and "joint_a1" in session["fast"]["text"]
     assert session["no trajectory"] == "a str is no JointTrajectory of compas_fab"
-    assert session["off"] == "off"
 
 
-def test_a_view_that_was_lost_comes_back_when_the_broker_does(cell, python, tmp_path):
+def test_a_view_that_was_lost_comes_back_when_the_broker_does(cell, designer, session):
     """compas_eve subscribes once, and a broker that was started again has forgotten it."""
-    urdf = tmp_path / "kr120.urdf"
-    urdf.write_text(expand_xacro(str(XACRO), {}))
-    account = cell.site.folder / "accounts/ada/account.json"
-    command = [python, SESSION, "patient", str(cell.site.site.port), str(account), str(urdf)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as session:
-        try:
-            assert json.loads(session.stdout.readline())["fresh"] is True
-            cell.site.stop()
-            lost = json.loads(session.stdout.readline())
-            assert lost["fresh"] is False and "the last view came" in lost["text"]
-            cell.site.start()
-            assert json.loads(session.stdout.readline())["fresh"] is True
-        finally:
-            session.kill()
+    cell.site.stop()
+    lost = json.loads(designer.stdout.readline())
+    assert lost["fresh"] is False and "the last view came" in lost["text"]
+    cell.site.start()
+    assert json.loads(designer.stdout.readline())["fresh"] is True
+    assert json.loads(designer.stdout.readline()) == "off" and designer.wait(20.0) == 0
 
 
 @pytest.mark.parametrize("path", COMPONENTS, ids=lambda path: path.name)

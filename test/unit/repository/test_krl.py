@@ -154,15 +154,3 @@ def test_the_program_for_rsi_4_1_sets_public_parameters_that_exist_from_the_soft
     axes = (*AXES, "E1") if "_e1" in name else AXES
     assert [p for _, p, _ in calls] == [f"{word}{axis}" for axis in axes for word in ("LowerLim", "UpperLim", "Max")]
     assert program(name, "rsi3").count("RSI_SetPublicPar") == 0
-
-
-@pytest.mark.parametrize("generation", ["rsi3", "rsi41"])
-@pytest.mark.parametrize("name", NAMES)
-def test_every_block_of_a_program_is_closed_and_every_answer_of_rsi_is_looked_at(name, generation):
-    code = "\n".join(line.split(";")[0] for line in program(name, generation).splitlines())
-    for begin, end in (("IF", "ENDIF"), ("LOOP", "ENDLOOP"), ("DEF", "END")):
-        assert len(re.findall(rf"^\s*{begin}\b", code, re.MULTILINE)) == len(
-            re.findall(rf"^\s*{end}\b", code, re.MULTILINE)
-        )
-    answers = re.findall(r"ret = .*\n(.*)\n(.*)", code)
-    assert answers and all(check == ("IF (ret <> RSIOK) THEN", "  HALT") for check in answers)

@@ -1,8 +1,4 @@
-"""The folder moveit/: true to our limits and pairs, accepted by roslaunch, and complete by what MoveIt 1's setup assistant writes.
-
-MoveIt is not installed here. Its packages are stood in for by empty ones; names of arguments, parameters and keys are compared with
-lists that were taken from moveit 1.1 (moveit_setup_assistant/templates, moveit_ros, moveit_plugins) and panda_moveit_config.
-"""
+"""The folder moveit/: its limits and pairs of links are ours. MoveIt is not installed here."""
 
 from __future__ import annotations
 
@@ -15,7 +11,7 @@ import pytest
 import yaml
 
 from construction_twin.robot.description import RobotModel, read_robot_files
-from construction_twin.robot.urdf import chain_joints, parse_urdf
+from construction_twin.robot.urdf import parse_urdf
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.pair_checks import checked_pairs
 from construction_twin.scene.self_collision import read_self_collision
@@ -24,11 +20,6 @@ ROOT = Path(__file__).resolve().parents[3]
 MOVEIT = ROOT / "moveit"
 XACROS = {"kr120": "urdf/kr120r2500.urdf.xacro", "kr120_track": "urdf/kr120_track.urdf.xacro"}
 OURS = tuple(XACROS)
-#: The groups of each SRDF with their chains, base to tip; the one of all joints last.
-GROUPS = {
-    "kr120": {"manipulator": ("base_link", "tool0")},
-    "kr120_track": {"manipulator": ("base_link", "tool0"), "manipulator_track": ("track_base", "tool0")},
-}
 #: MoveIt's word for each reason of a self_collision file.
 REASONS = {"adjacent": "Adjacent", "always": "Always", "never": "Never"}
 
@@ -47,19 +38,11 @@ def srdf_of(name: str) -> ElementTree.Element:
     return ElementTree.parse(MOVEIT / "config" / name / "robot.srdf").getroot()
 
 
-def joints_of(robot: RobotModel, base: str, tip: str) -> tuple[str, ...]:
-    joints = chain_joints(parse_urdf(robot.urdf), base, tip)
-    return tuple(joint.name for joint in joints if joint.joint_type != "fixed")
-
-
 def pairs_of(root: ElementTree.Element, tag: str) -> dict[frozenset[str], str]:
     rows = [row.attrib for row in root.findall(tag)]
     pairs = {frozenset((row["link1"], row["link2"])): row.get("reason", "") for row in rows}
     assert len(pairs) == len(rows)
     return pairs
-
-
-# -- true to our files
 
 
 @pytest.mark.parametrize("name", OURS)
@@ -73,23 +56,6 @@ def test_joint_limits_are_the_robot_s(name):
         assert set(entry) == LIMIT_KEYS
         assert (entry["min_position"], entry["max_position"]) == (robot.lower[index], robot.upper[index])
         assert (entry["max_velocity"], entry["max_acceleration"]) == (robot.velocity[index], robot.acceleration[index])
-
-
-@pytest.mark.parametrize("name", OURS)
-def test_groups_are_chains_of_the_urdf_and_home_is_the_robot_yaml_s(name):
-    robot, root = robot_of(name), srdf_of(name)
-    assert root.get("name") == parse_urdf(robot.urdf).name
-    chains = {group.get("name"): group.find("chain").attrib for group in root.findall("group")}
-    assert chains == {group: {"base_link": base, "tip_link": tip} for group, (base, tip) in GROUPS[name].items()}
-    home = dict(zip(robot.joint_names, robot.home))
-    states = {state.get("group"): state for state in root.findall("group_state")}
-    for group, chain in GROUPS[name].items():
-        values = {joint.get("name"): float(joint.get("value")) for joint in states[group]}
-        assert states[group].get("name") == "home"
-        assert values == pytest.approx({joint: home[joint] for joint in joints_of(robot, *chain)}, abs=1e-11)
-    assert len(states) == len(GROUPS[name])
-    (joint,) = root.findall("virtual_joint")
-    assert joint.get("child_link") == parse_urdf(robot.urdf).get_root()
 
 
 @pytest.mark.parametrize("name", OURS)
@@ -128,12 +94,3 @@ def test_the_srdf_is_the_one_of_bringup():
     for name, words in (("kr120", []), ("kr120_track", ["track:=true"])):
         loaded = launch_files.parameters("bringup", *words)["/kr120/robot_description_semantic"]
         assert loaded == (MOVEIT / "config" / name / "robot.srdf").read_text()
-
-
-# -- started beside bringup
-
-
-# -- alone
-
-
-# -- the panel

@@ -17,6 +17,8 @@ import tomllib
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+import construction_twin
+
 ROOT = Path(__file__).resolve().parents[3]
 PACKAGE = ROOT / "src/construction_twin"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -119,6 +121,10 @@ def test_every_module_and_every_shared_file_is_installed(metadata):
     assert len(asked) > 5
     for name in asked:
         assert name in listed or any(each.startswith(f"{name}/") for each in listed), name
+
+
+def test_the_version_is_that_of_the_package():
+    assert construction_twin.__version__ == ElementTree.parse(ROOT / "package.xml").findtext("version")
 
 
 def test_what_is_imported_is_pinned_or_a_dependency_of_the_package():

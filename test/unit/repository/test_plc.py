@@ -99,11 +99,6 @@ def test_a_first_string_that_is_wrong_starts_nothing_and_is_shown_until_strings_
     assert cell.plc.word == "ready"
 
 
-def test_the_start_tolerance_itself_is_allowed():
-    cell = Cell().cycles(50, string(START_TOLERANCE, -START_TOLERANCE))
-    assert cell.plc.position == (START_TOLERANCE, -START_TOLERANCE) and cell.plc.word == "ready"
-
-
 @pytest.mark.parametrize("step, word", [(0.201, "ready"), (0.202, "offline"), (-0.202, "offline")])
 def test_a_step_is_one_cycle_s_way_at_most(step, word):
     cell, at, speed = Cell().cycles(10, string(0.0, 0.0)), 0.0, 0.0
@@ -128,18 +123,6 @@ def test_the_speed_changes_by_one_cycle_s_acceleration_at_most(changes, word, si
     assert cell.plc.word == word and cell.plc.counters["acceleration"] == (word == "offline")
     cell.cycles(100)
     cell.assert_brakes_in_limits()
-
-
-@pytest.mark.parametrize("axes", [SLOW, AXES[:2]])
-def test_from_the_held_pose_to_the_first_string_it_creeps(axes):
-    held = tuple(axis.upper - 20.0 for axis in axes)
-    cell = Cell(axes, start=held)
-    first = (held[0] + START_TOLERANCE - 0.001, held[1] - 0.017)
-    cell.cycles(70, string(*first))
-    assert cell.plc.state is State.FOLLOWING and cell.plc.position == pytest.approx(first, abs=5e-4)
-    for first, second, third in zip(cell.poses, cell.poses[1:], cell.poses[2:]):
-        for a, b, c, axis in zip(first, second, third, axes):
-            assert abs(c - 2 * b + a) <= axis.acceleration * CYCLE**2 + 1e-9
 
 
 def test_a_string_that_leaves_no_room_to_brake_is_refused_before_it_is_played():
