@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import ClassVar
 
 from construction_twin.controller.last_resort import BareProtocol, LastResort
@@ -39,14 +40,8 @@ class Frames:
     not_filled: ClassVar[tuple] = ()
 
 
-@dataclass(frozen=True)
-class Nothing:
-    """It says nothing of itself."""
-
-    sentence: ClassVar[str] = ""
-
-    def status_fields(self) -> dict:
-        return {}
+#: It says nothing of itself.
+NOTHING = SimpleNamespace(sentence="", status_fields=dict)
 
 
 def stamp_of(session: int, cycle: int) -> int:
@@ -80,12 +75,13 @@ def reader(setup) -> Reader:
     return Reader(parse)
 
 
-class FrameEncoder:
-    def template(self, stop, switched=()) -> bytes:
-        return b"\1" if stop else b"\0"
+def template(stop, switched=()) -> bytes:
+    return b"\1" if stop else b"\0"
 
-    def encode(self, target, stamp, stop=None, switched=()) -> bytes:
-        return fill(self.template(stop), tuple(target), stamp)
+
+ENCODER = SimpleNamespace(
+    template=template, encode=lambda target, stamp, stop=None, switched=(): fill(template(stop), tuple(target), stamp)
+)
 
 
 def fill(text: bytes, target: tuple[float, ...], stamp: int) -> bytes:
@@ -96,24 +92,14 @@ class Rules:
     """A session tells its number: only its beginning has to be judged."""
 
     follows = False
-
-    def drift_sentence(self, distance: str) -> str:
-        return distance
+    drift_sentence, begin, restart_sign = str, (lambda self: None), (lambda *_: "")
 
     def __init__(self, setup):
         self._limits, self._tolerances = setup.limits, setup.start_tolerances
 
-    def begin(self) -> None:
-        pass
-
     def origin(self, telegram) -> tuple[tuple[float, ...], str]:
         off = distance_off(telegram.measured, telegram.setpoint, self._limits, self._tolerances)
-        return (
-            ((), f"{off} off the target that it follows: joined a running session") if off else (telegram.measured, "")
-        )
-
-    def restart_sign(self, telegram, origin, correction, moving) -> str:
-        return ""
+        return ((), f"{off} off its target: joined a running session") if off else (telegram.measured, "")
 
 
 def last_resort(setup) -> LastResort:
@@ -143,7 +129,7 @@ def controller_side(layout, axes, units, precision) -> ControllerSide:
         session, cycle, stop, *target = unpack(REPLY_HEAD, TELLS, count, data)
         return Reply(stamp_of(session, cycle), tuple(target), bool(stop))
 
-    return ControllerSide(encode, decode, (True,) * count, False, lambda told: Nothing())
+    return ControllerSide(encode, decode, (True,) * count, False, lambda told: NOTHING)
 
 
 MAKE = Make(
@@ -151,12 +137,12 @@ MAKE = Make(
     absolute=True,
     cycles={CYCLE_MS: "8 ms"},
     words=Words("frames", "cycle", "read-only", "", "it ends", "it ended", "{}", "8 ms", "its time-out", "the frames"),
-    no_status=Nothing(),
+    no_status=NOTHING,
     plain=lambda axes: Frames(),
     read_layout=lambda document: Frames(**document),
     check=lambda setup: None,
     reader=reader,
-    encoder=lambda setup: FrameEncoder(),
+    encoder=lambda setup: ENCODER,
     rules=Rules,
     last_resort=last_resort,
     check_axes=lambda layout, axes: None,

@@ -16,7 +16,6 @@ from functools import partial
 import numpy as np
 from plan_samples import make_report
 from processes import ROOT
-from read_requests import read_message
 
 from construction_twin.core.errors import ExpiredError, PayloadError
 from construction_twin.core.freshness import Moment, parse_moment, present_moment, staleness
@@ -72,6 +71,11 @@ _THRESHOLD = 0.02
 def kr120() -> RobotModel:
     """Return the robot of the tests."""
     return read_robot_files(XACRO, CONFIG)
+
+
+def read_message(model, kind: RequestKind, payload: bytes, retained: bool):
+    """Read a request whole, as an endpoint does in two steps."""
+    return read(model, read_document(payload, retained, kind.name, kind.limit), kind.name)
 
 
 def joints_of(robot: RobotModel) -> Joints:

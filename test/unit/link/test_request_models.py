@@ -8,7 +8,6 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from read_requests import read_message
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment
@@ -30,7 +29,7 @@ from construction_twin.link.requests import (
     read_document,
     read_goal,
 )
-from construction_twin.mqtt.requests import OVERRIDE, PLAN_REQUEST, REVIEW
+from construction_twin.mqtt.requests import OVERRIDE, PLAN_REQUEST, REVIEW, RequestKind
 
 MAX_BYTES = PLAN_REQUEST.limit
 JOINTS = Joints(("joint_a1", "track"), (False, True))
@@ -44,6 +43,10 @@ REQUESTS = {
     "way_back": {},
     "work_task": {"task": "2O2Fr$t4X7Zf8NOew3FLOH"},
 }
+
+
+def read_message(model, kind: RequestKind, data: bytes, retained: bool):
+    return read(model, read_document(data, retained, kind.name, kind.limit), kind.name)
 
 
 def read_ik(document: dict, joints: Joints) -> IkRequest:
