@@ -5,14 +5,12 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-import pinocchio
+from plan_samples import make_plan
 from planning_cell import HOME, ROBOT, SELF_COLLISION
 
-from construction_twin.core.freshness import Moment
 from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.timing import time_path
-from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport
-from construction_twin.scene.collision_bodies import RobotBodies
+from construction_twin.robot.plan import Plan
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.neighbour import Neighbour
 from construction_twin.scene.objects import Scene, SceneObject
@@ -45,32 +43,7 @@ def empty_world(*objects: SceneObject) -> CollisionWorld:
     return CollisionWorld(ROBOT, Scene(objects, 0.0), SELF_COLLISION)
 
 
-def body_points(place: Pose, q: np.ndarray) -> dict[str, np.ndarray]:
-    """Return points on the other arm's shapes in our root, by owner: made without the code that is tested."""
-    bodies = RobotBodies(ROBOT)
-    data = bodies.model.createData()
-    pinocchio.forwardKinematics(bodies.model, data, np.asarray(q)[np.argsort(bodies.order)])
-    root = pinocchio.SE3(place.rotation, place.position)
-    points: dict[str, list] = {}
-    for body in bodies.bodies:
-        body.geometry.computeLocalAABB()
-        pose = root * data.oMi[body.joint] * body.placement
-        points.setdefault(f"other/{body.owner}", []).append(pose.act(np.array(body.geometry.aabb_center)))
-    return {owner: np.array(found) for owner, found in points.items()}
-
-
 def plan(start: np.ndarray, end: np.ndarray, plan_id: str = "p1", duration: float = 4.0) -> Plan:
     """Return a straight plan, checked against nothing."""
     trajectory = time_path(np.array([start, end]), ROBOT, duration=duration)
-    fractions = LimitUsage(*([(0.5,) * 6] * 3))
-    return Plan(
-        plan_id,
-        trajectory.content_hash(),
-        "test",
-        "direct",
-        "0" * 64,
-        Moment("c0ffee00", 1),
-        0.1,
-        trajectory,
-        PlanReport(Clearance(1.0), fractions, 0.1),
-    )
+    return make_plan(trajectory, plan_id, "0" * 64, asked_ns=1)

@@ -4,25 +4,27 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pinocchio
+from plan_samples import make_plan
 from scene_samples import kr120, kr120_pairs, track7, track7_pairs, ur_like_pairs
 
-from construction_twin.core.freshness import Moment
 from construction_twin.extensions.physics.drive import ArmDrives, drives_of, read_drives
 from construction_twin.extensions.physics.model import Load, PhysicsModel, build_model
 from construction_twin.extensions.physics.rehearsal import Rehearsal
 from construction_twin.review.rehearsal_report import RehearsalReport
 from construction_twin.robot.description import RobotModel, load_robot, read_robot_files
 from construction_twin.robot.new_robot import new_description
-from construction_twin.robot.plan import Clearance, LimitUsage, Plan, PlanReport, content_hash
+from construction_twin.robot.plan import Plan, content_hash
 from construction_twin.robot.segments import Segment
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import SelfCollision
 
 ROOT = Path(__file__).parents[2]
@@ -31,6 +33,10 @@ DRIVES = ROOT / "config/kr120_drives.yaml"
 OTHERS = ("iiwa_like", "panda_like", "ur_like")
 #: A pose of the KR 120 in which it stands well away from the floor [rad].
 READY = np.radians((0.0, -90.0, 90.0, 0.0, 45.0, 0.0))
+
+
+#: The shipped scene.
+SHIPPED = read_scene(ROOT / "config/scene.yaml")
 
 
 @cache
@@ -72,6 +78,17 @@ def model_of(
     return build_model(bodies_of(name), scene, pairs_of(name), drives_of(robot_of(name)) if of is None else of, load)
 
 
+def carrying(size: float) -> Scene:
+    """Return the shipped scene with a cube of that size [m] at the flange, of 1000 kg/m^3."""
+    return SHIPPED.add(SceneObject("cube", "box", (size,) * 3, (0.0, 0.0, size / 2.0 + 0.01), link=kr120().tip_link))
+
+
+@cache
+def model_in(scene: Scene = SHIPPED) -> PhysicsModel:
+    """Return the shipped arm in a scene, with the drives of its file."""
+    return model_of(scene=scene, of=drives())
+
+
 def dynamics_of(name: str) -> tuple[pinocchio.Model, np.ndarray]:
     """Return Pinocchio's own model of an arm, and where each joint of the chain is in its arrays."""
     bodies = bodies_of(name)
@@ -90,13 +107,9 @@ def between(start: Sequence[float], goal: Sequence[float], duration: float, name
 
 def plan_of(trajectory: Trajectory, scene: Scene, segments: tuple[Segment, ...] = ()) -> Plan:
     """Return a plan as if checked in `scene`."""
-    zeros = (0.0,) * len(trajectory.joint_names)
-    report = PlanReport(Clearance(np.inf), LimitUsage(zeros, zeros, zeros), 0.0)
     task = "task" if segments else ""
-    return Plan(
-        "p", content_hash(trajectory, task, segments), "test", "none", scene.hash, Moment("c0ffee00", 0), 0.0, trajectory, report,
-        task=task, segments=segments,
-    )  # fmt: skip
+    plain = make_plan(trajectory, scene=scene.hash)
+    return replace(plain, hash=content_hash(trajectory, task, segments), task=task, segments=segments)
 
 
 def bricks(

@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 from chain_samples import REACH, ROBOT
-from live_twin_samples import FLOOR, carrying, model_in
+from physics_samples import SHIPPED, carrying, model_in
 
 from construction_twin.extensions.physics.live_twin import LiveTwin
 from construction_twin.extensions.physics.model import PhysicsModel
@@ -52,7 +52,7 @@ def test_another_scene_takes_pose_speed_and_servo_over():
     for number, commanded in enumerate(PATH):
         if number == 150:
             # it differs by what the arm never comes near; kinematics are computed anew
-            changed.set_model(model_in(FLOOR.add(SceneObject("far", "box", (0.1,) * 3, (5.0, 5.0, 5.0)))))
+            changed.set_model(model_in(SHIPPED.add(SceneObject("far", "box", (0.1,) * 3, (5.0, 5.0, 5.0)))))
         assert np.abs(np.array(plain.cycle(commanded)) - changed.cycle(commanded)).max() < 1e-7
 
 
@@ -76,7 +76,7 @@ def test_after_a_restart_it_begins_anew_at_rest():
 
 def test_a_contact_that_the_planner_would_refuse_is_named_and_holds_the_arm_up():
     wall = SceneObject("wall", "box", (0.2, 4.0, 4.0), (2.0, 0.0, 2.0))
-    twin = twin_in(model_in(FLOOR.add(wall)))
+    twin = twin_in(model_in(SHIPPED.add(wall)))
     reached = np.array(HOME)
     for share in np.linspace(0.0, 1.0, 500):
         goal = np.array(HOME) + share * np.radians([0.0, 40.0, -40.0, 0.0, 0.0, 0.0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from chain_samples import ROBOT
-from live_twin_samples import DRIVES, FLOOR, SELF_COLLISION, carrying, model_in
+from physics_samples import DRIVES, ROOT, SHIPPED, carrying, model_in
 
 from construction_twin.core.worker import Worker, WorkerError
 from construction_twin.extensions.physics.live_twin import LiveTwin
@@ -16,13 +16,13 @@ from construction_twin.scene.objects import SceneObject
 @pytest.fixture
 def build():
     worker = Worker(PROGRAM)
-    arm = {"robot": ROBOT, "self_collision": SELF_COLLISION, "drives": DRIVES}
+    arm = {"robot": ROBOT, "self_collision": str(ROOT / "config/kr120_self_collision.yaml"), "drives": str(DRIVES)}
     yield lambda scene, **other: worker.ask("build", arm=arm | other, scene=scene, masses={})
     worker.close()
 
 
 def test_its_models_are_those_of_this_process(build):
-    for scene in (FLOOR, carrying(0.3)):
+    for scene in (SHIPPED, carrying(0.3)):
         here, there = LiveTwin(), LiveTwin()
         own, other = model_in(scene), build(scene)
         here.set_model(own), there.set_model(other)
@@ -34,11 +34,11 @@ def test_its_models_are_those_of_this_process(build):
 
 def test_a_scene_that_cannot_be_built_is_a_sentence_and_the_next_one_is_built(build):
     with pytest.raises(WorkerError) as refusal:
-        build(FLOOR.add(SceneObject("hanging", "box", (0.1,) * 3, (1.0, 1.0, 1.0), touch=("nothing_there",))))
+        build(SHIPPED.add(SceneObject("hanging", "box", (0.1,) * 3, (1.0, 1.0, 1.0), touch=("nothing_there",))))
     assert refusal.value.kind == "SceneError" and "nothing_there" in str(refusal.value)
-    assert build(FLOOR).robot.name == ROBOT.name
+    assert build(SHIPPED).robot.name == ROBOT.name
 
 
 def test_without_a_file_of_drives_the_torques_are_the_urdf_s(build):
-    drives = build(FLOOR, drives="").drives
+    drives = build(SHIPPED, drives="").drives
     assert drives.source == "URDF effort" and not any(drives.armature)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from chain_samples import REACH, make_chain, make_plan
-from live_twin_samples import model_in
+from physics_samples import model_in
 
 from construction_twin.core.units import CYCLE
 from construction_twin.execution.executor import ExecutorState

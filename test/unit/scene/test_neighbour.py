@@ -8,10 +8,11 @@ import pinocchio
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from neighbour_cell import AWAY, BESIDE, CLEAR, NEAR, STRETCHED, TOWARDS, body_points, empty_world, line, other
+from neighbour_cell import AWAY, BESIDE, CLEAR, NEAR, STRETCHED, TOWARDS, empty_world, line, other
 from planning_cell import HOME, QUICK, REQUEST, ROBOT, SELF_COLLISION, Clock, solver
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.planning.recheck import CollisionError
@@ -29,6 +30,20 @@ def distance_to(obstacle, point: np.ndarray) -> float:
     to = coal.Transform3s(np.eye(3), point)
     found = coal.distance(obstacle.geometry, at, coal.Sphere(1e-6), to, request, result)
     return found - obstacle.padding
+
+
+def body_points(place: Pose, q: np.ndarray) -> dict[str, np.ndarray]:
+    """Return points on the other arm's shapes in our root, by owner: made without the code that is tested."""
+    bodies = RobotBodies(ROBOT)
+    data = bodies.model.createData()
+    pinocchio.forwardKinematics(bodies.model, data, np.asarray(q)[np.argsort(bodies.order)])
+    root = pinocchio.SE3(place.rotation, place.position)
+    points: dict[str, list] = {}
+    for body in bodies.bodies:
+        body.geometry.computeLocalAABB()
+        pose = root * data.oMi[body.joint] * body.placement
+        points.setdefault(f"other/{body.owner}", []).append(pose.act(np.array(body.geometry.aabb_center)))
+    return {owner: np.array(found) for owner, found in points.items()}
 
 
 SHARES = st.tuples(*[st.floats(0.02, 0.98)] * 6)
