@@ -137,14 +137,8 @@ class ScriptedRobot:
         self.state = "IDLE"
         #: What the bridge says.
         self.link = LinkReport("ARMED", "", "ARMED", {"late_replies": "0"}, gateway_kind="rsi")
-        #: Says no `view` and no `screen`.
-        self.silent = False
-        #: What `screen` has in place of its own line; None: its own.
-        self.lines: list[dict] | None = None
         #: Why the plan under review could not be approved; an approval in spite of its rehearsal takes no notice of it.
         self.obstacle = ""
-        #: Lines of `screen` that stand before its own.
-        self.urgent: list[dict] = []
         #: How much older than it is what comes shall count [s]: as if it had lain on its way.
         self.delay = 0.0
         self.speed_limits = SpeedLimits(SpeedLimit(0.5), NOBODY, present_moment())
@@ -223,38 +217,10 @@ class ScriptedRobot:
             self._publish(self._topics.rehearsal, to_json(report, separators=SPACED), retain=True)
             self.publish_view()
 
-    def play(self) -> None:
-        """Play the plan under review, as after an approval."""
-        with self._lock:
-            plan = self.plan
-            assert plan is not None
-            self.take_plan_away()
-            self._play(plan)
-
-    def seek(self, elapsed: float) -> None:
-        """Go on from another time of the plan that is played [s]."""
-        with self._lock:
-            self._elapsed = elapsed
-
-    def pause(self) -> None:
-        """Stand still on the path of the plan that is played."""
-        with self._lock:
-            self.state = "PAUSED"
-
-    def resume(self) -> None:
-        """Go on with it."""
-        with self._lock:
-            self.state = "PLAYING"
-
     def _play(self, plan: PlanView) -> None:
         assert plan.trajectory is not None
         self._show_path(PathView(plan.id, plan.trajectory["times"], plan.tool_path).to_json(200))
         self.state, self._outcome, self._playing, self._elapsed, self._rate = "PLAYING", "", plan.id, 0.0, 1.0
-
-    def show_scene(self, objects: Sequence[dict]) -> None:
-        """Publish a scene."""
-        document = {"hash": f"{len(objects):064d}", "frame": "base_link", "padding": 0.01, "objects": list(objects)}
-        self._publish(self._topics.scene, json.dumps(document).encode(), retain=True)
 
     def publish_view(self) -> None:
         """Publish a view of now."""
@@ -321,8 +287,6 @@ class ScriptedRobot:
         return FreshReport(report, 0.0)
 
     def _screen(self) -> bytes:
-        if self.lines is not None:
-            return json.dumps(self.lines).encode()
         moving = self.state == "PLAYING"
         sentence = "The arm moves along the approved plan" if moving else "The arm holds its pose; no plan is executed"
         waits = "" if self.plan is None else "a verdict on the plan"
@@ -331,7 +295,7 @@ class ScriptedRobot:
             "who": "reviewer" if waits else "", "todo": "look at the plan, then approve or reject it" if waits else "",
             "page": "reference/states.md#execution", "level": 2 if waits else 0,
         }  # fmt: skip
-        return json.dumps([*self.urgent, line]).encode()
+        return json.dumps([line]).encode()
 
     def _view_of(self, trajectory: Trajectory, plan_id: str, source: str) -> PlanView:
         report = make_report(len(self._names))
@@ -357,8 +321,6 @@ class ScriptedRobot:
         while not self._ended.wait(self._period or VIEW):
             with self._lock:
                 self._advance()
-            if self.silent:
-                continue
             if self._period:
                 self.publish_view()
             if time.monotonic() - said >= SCREEN:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from mock_pc import Pc
+from mock_cell import Pc
 from processes import ROOT
 
 from construction_twin.robot.description import read_robot_files

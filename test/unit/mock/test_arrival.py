@@ -5,8 +5,7 @@ from __future__ import annotations
 import sys
 
 import pytest
-from mock_cell import Cell
-from mock_pc import ZERO, running
+from mock_cell import ZERO, Cell, running
 from processes import wait_until
 
 from construction_twin.core.units import NANOSECONDS

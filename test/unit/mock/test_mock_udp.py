@@ -9,7 +9,7 @@ import threading
 import time
 
 import pytest
-from mock_pc import running
+from mock_cell import running
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import CYCLE_NS, radians
