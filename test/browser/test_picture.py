@@ -70,6 +70,33 @@ def pieces(path: np.ndarray) -> list[float]:
     return np.hstack((path[:-1], path[1:])).ravel().tolist()
 
 
+def wait_uploaded(page: ConsolePage, vertices: list[float], tolerance: float) -> None:
+    """Wait until exactly these vertices have gone to the graphics card, in one buffer."""
+    page.wait_for(
+        """({vertices, tolerance}) => window.uploaded.some((each) => each.length === vertices.length
+            && each.every((value, k) => Math.abs(value - vertices[k]) < tolerance))""",
+        {"vertices": vertices, "tolerance": tolerance},
+    )
+
+
+def drag_tool(page: ConsolePage, robot: str, way: float) -> None:
+    """Drag the handle of the tool by its own z axis over the picture, by `way` times a quarter of a metre."""
+    box = page.page.locator(".overlay", has=page.page.get_by_text(robot, exact=True)).bounding_box()
+    assert box is not None
+    handle = page.drawn(robot)["handle"]
+    width, height = box["width"], box["height"]
+    begin = [
+        box[corner] + size * (at + along)
+        for corner, size, at, along in zip(("x", "y"), (width, height), handle["screen"], handle["axis"])
+    ]
+    end = [at + size * along * way for at, size, along in zip(begin, (width, height), handle["axis"])]
+    # the arrow wants to be pointed at before it is gripped, as a mouse does
+    page.page.mouse.move(*begin)
+    page.page.mouse.down()
+    page.page.mouse.move(*end, steps=8)
+    page.page.mouse.up()
+
+
 def test_the_robot_is_really_drawn_and_moves_on_the_screen(seen, robot):
     seen.wait_frame()
     before = pixels(seen)
@@ -100,7 +127,7 @@ def test_the_plan_that_is_shown_is_the_plan_on_the_desk(seen, robot):
     drawn = seen.wait_drawn("one", "it.path !== null && it.goal.joints !== null")
     desk = np.array([robot.tool(row) for row in plan.trajectory["positions"]])
     assert np.allclose(drawn["path"], desk, atol=1e-4)
-    seen.wait_uploaded(pieces(np.round(desk, 4)), _FINE)
+    wait_uploaded(seen, pieces(np.round(desk, 4)), _FINE)
     assert np.allclose(drawn["goal"]["tool"], robot.tool(plan.goal), atol=_FINE)
     # played back: the ghost stands where the desk's interpolation has it
     slider = seen.page.locator(".playback-slider")
@@ -113,7 +140,7 @@ def test_the_plan_that_is_shown_is_the_plan_on_the_desk(seen, robot):
     # and another plan replaces it
     other = robot.show_plan(goal=robot.twin + 0.3)
     desk = np.array([robot.tool(row) for row in other.trajectory["positions"]])
-    seen.wait_uploaded(pieces(np.round(desk, 4)), _FINE)
+    wait_uploaded(seen, pieces(np.round(desk, 4)), _FINE)
 
 
 def test_a_plan_that_was_played_to_its_end_in_the_picture_may_be_approved(seen, robot):
@@ -232,7 +259,7 @@ def test_the_tool_is_dragged_to_a_goal_and_the_planner_is_asked_for_the_way(page
     assert np.allclose(begin, robot.tool(robot.twin), atol=_FINE)
     # what has not been drawn yet cannot be taken
     page.wait_frame()
-    page.drag_tool("one", 1.5)
+    drag_tool(page, "one", 1.5)
     expect(page.page.locator(".plan-reach")).to_contain_text("The arm gets there and touches nothing.")
     expect(page.page.locator("#plan .plan-ask")).to_be_enabled()
     drawn = page.wait_drawn("one")

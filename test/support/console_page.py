@@ -127,35 +127,10 @@ class ConsolePage:
         )  # fmt: skip
         return self.drawn(robot)
 
-    def wait_uploaded(self, vertices: list[float], tolerance: float) -> None:
-        """Wait until exactly these vertices have gone to the graphics card, in one buffer."""
-        self.wait_for(
-            """({vertices, tolerance}) => window.uploaded.some((each) => each.length === vertices.length
-                && each.every((value, k) => Math.abs(value - vertices[k]) < tolerance))""",
-            {"vertices": vertices, "tolerance": tolerance},
-        )
-
     def wait_frame(self) -> None:
         """Wait until the picture has been drawn once more."""
         frames = self.page.evaluate("document.querySelector('canvas').frames")
         self.wait_for("(frames) => document.querySelector('canvas').frames > frames", frames)
-
-    def drag_tool(self, robot: str, way: float) -> None:
-        """Drag the handle of the tool by its own z axis over the picture, by `way` times a quarter of a metre."""
-        box = self.page.locator(".overlay", has=self.page.get_by_text(robot, exact=True)).bounding_box()
-        assert box is not None
-        handle = self.drawn(robot)["handle"]
-        width, height = box["width"], box["height"]
-        begin = [
-            box[corner] + size * (at + along)
-            for corner, size, at, along in zip(("x", "y"), (width, height), handle["screen"], handle["axis"])
-        ]
-        end = [at + size * along * way for at, size, along in zip(begin, (width, height), handle["axis"])]
-        # the arrow wants to be pointed at before it is gripped, as a mouse does
-        self.page.mouse.move(*begin)
-        self.page.mouse.down()
-        self.page.mouse.move(*end, steps=8)
-        self.page.mouse.up()
 
     def tab(self, name: str) -> Locator:
         """Open the panel of a name (`plan`, `tasks`, ...) and return it; on a wide screen some are always open, and have no tab."""

@@ -41,17 +41,6 @@ def read_launch(file: str, *words: str) -> ROSLaunchConfig:
     return load_config_default(launch, None, loader=Reader(), verbose=False, assign_machines=False)
 
 
-def node_names(file: str, *words: str) -> list[str]:
-    """Return the nodes in the order in which they are started."""
-    return [f"{node.namespace}{node.name}" for node in read_launch(file, *words).nodes]
-
-
-def node_arguments(name: str, file: str, *words: str) -> str:
-    """Return the command line of a node."""
-    nodes = {f"{node.namespace}{node.name}": node for node in read_launch(file, *words).nodes}
-    return f" {nodes[name].args} "
-
-
 def parameters(file: str, *words: str) -> dict[str, object]:
     """Return the parameters by name, those of commands but the URDF as texts."""
     return {name: param.value for name, param in read_launch(file, *words).params.items()}

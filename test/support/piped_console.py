@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import shutil
-import socket
-import subprocess
 import time
-from collections.abc import AsyncIterator, Iterator
-from pathlib import Path
+from collections.abc import AsyncIterator
 
 import aiohttp
 import pytest
@@ -17,40 +13,8 @@ from mqtt_packets import packet, text
 
 from construction_twin.extensions.console.server import ConsoleServer, ServerSettings
 
-MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/bin")
 CONNACK_OK = b"\x20\x02\0\0"
 PING, PONG = b"\xc0\0", b"\xd0\0"
-
-
-@contextlib.contextmanager
-def started(command: list, port: int) -> Iterator[subprocess.Popen]:
-    """Start a program; wait until its port is open."""
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    try:
-        end = time.monotonic() + 10
-        while time.monotonic() < end and process.poll() is None:
-            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
-                break
-            time.sleep(0.02)
-        assert process.poll() is None
-        yield process
-    finally:
-        process.terminate()
-        process.communicate(timeout=10)
-
-
-@contextlib.contextmanager
-def broker_with(folder: Path, port: int, *accounts: str) -> Iterator[None]:
-    """Mosquitto with accounts whose password is `secret`."""
-    passwords, configuration = folder / "passwords", folder / "mosquitto.conf"
-    passwords.write_text("".join(f"{account}:secret\n" for account in accounts))
-    passwords.chmod(0o600)
-    subprocess.run(["mosquitto_passwd", "-U", passwords], check=True)
-    configuration.write_text(
-        f"listener {port} 127.0.0.1\nallow_anonymous false\npassword_file {passwords}\nuser root\n"
-    )
-    with started([MOSQUITTO, "-c", configuration], port):
-        yield
 
 
 @contextlib.asynccontextmanager

@@ -8,10 +8,13 @@ import functools
 import gzip
 import logging
 import re
+import shutil
 import signal
 import socket
 import ssl
+import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,16 +23,13 @@ import pytest
 from mqtt_packets import connect, packet, text
 from piped_console import (
     CONNACK_OK,
-    MOSQUITTO,
     PING,
     PONG,
     Browser,
-    broker_with,
     browser_at,
     login,
     logs_in,
     serving,
-    started,
 )
 
 from construction_twin.broker import make_site
@@ -46,6 +46,7 @@ from construction_twin.extensions.console.pipe import (
 from construction_twin.extensions.console.program import main
 from construction_twin.extensions.console.server import ServerSettings, origin_refusal
 
+MOSQUITTO = shutil.which("mosquitto", path="/usr/sbin:/usr/bin")
 PORT, BROKER_PORT, FAKE_BROKER_PORT = 28480, 28481, 28483
 URL = f"http://127.0.0.1:{PORT}/"
 PAGE = "<!doctype html><title>console</title>"
@@ -57,10 +58,34 @@ UPGRADE = (
 ).encode()
 
 
+@contextlib.contextmanager
+def started(command: list, port: int) -> Iterator[subprocess.Popen]:
+    """Start a program; wait until its port is open."""
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    try:
+        end = time.monotonic() + 10
+        while time.monotonic() < end and process.poll() is None:
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
+                break
+            time.sleep(0.02)
+        assert process.poll() is None
+        yield process
+    finally:
+        process.terminate()
+        process.communicate(timeout=10)
+
+
 @pytest.fixture(scope="module")
 def broker(tmp_path_factory) -> Iterator[None]:
     """Mosquitto with one account, `ada` with password `secret`."""
-    with broker_with(tmp_path_factory.mktemp("broker"), BROKER_PORT, "ada"):
+    folder = tmp_path_factory.mktemp("broker")
+    passwords, configuration = folder / "passwords", folder / "mosquitto.conf"
+    passwords.write_text("ada:secret\n")
+    passwords.chmod(0o600)
+    subprocess.run(["mosquitto_passwd", "-U", passwords], check=True)
+    access = f"allow_anonymous false\npassword_file {passwords}\nuser root\n"
+    configuration.write_text(f"listener {BROKER_PORT} 127.0.0.1\n{access}")
+    with started([MOSQUITTO, "-c", configuration], BROKER_PORT):
         yield
 
 

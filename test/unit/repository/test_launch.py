@@ -11,7 +11,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from launch_files import Reader, node_arguments, node_names, parameters, read_launch, twin_in_tf
+from launch_files import Reader, parameters, read_launch, twin_in_tf
 from roslaunch import rlutil
 
 from construction_twin.core.extensions import node_modules
@@ -37,6 +37,17 @@ def is_whole(path: Path) -> bool:
     """Return whether a launch file can be started as it is: every argument has a default."""
     arguments = ElementTree.parse(path).getroot().findall("arg")
     return all({"default", "value"} & set(arg.attrib) for arg in arguments)
+
+
+def node_names(file: str, *words: str) -> list[str]:
+    """Return the nodes in the order in which they are started."""
+    return [f"{node.namespace}{node.name}" for node in read_launch(file, *words).nodes]
+
+
+def node_arguments(name: str, file: str, *words: str) -> str:
+    """Return the command line of a node."""
+    nodes = {f"{node.namespace}{node.name}": node for node in read_launch(file, *words).nodes}
+    return f" {nodes[name].args} "
 
 
 WHOLE = [path for path in LAUNCHES if is_whole(path)]

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pinocchio
 import pytest
 import yaml
-from mesh_arm import write_mesh_arm
 from scene_samples import ROOT, kr120, kr120_pairs, random_poses, track7, ur_like, ur_like_pairs
 
 from construction_twin.core.errors import ConfigurationError
@@ -203,27 +201,6 @@ def test_leaving_out_what_is_decided_changes_no_answer(robot):
     for pair, values in measured(robot, pairs, 600, 3).items():
         expected = "always" if max(values) <= 0 else "never" if min(values) > NEAR else None
         assert found.get(frozenset(pair)) == expected
-
-
-def write_robot_yaml(folder: Path) -> Path:
-    path = folder / "mesh_arm.yaml"
-    path.write_text((ROOT / "test/data/ur_like.yaml").read_text().replace("name: ur_like", "name: mesh_arm"))
-    return path
-
-
-def test_a_mesh_arm_with_its_proposal_of_hulls_beside_the_file(tmp_path, capsys):
-    urdf, robot_yaml, output = write_mesh_arm(tmp_path), write_robot_yaml(tmp_path), tmp_path / "my_self_collision.yaml"
-    main([str(urdf), str(robot_yaml), str(output), "--samples", "2000"])
-    said = capsys.readouterr()
-    assert said.out.startswith(f"{output}: 6 pairs left out, geometry ")
-    proposal = tmp_path / "my_hulls" / "robot.urdf"
-    assert f"{proposal}: a proposal, convex hulls in place of 5 meshes" in said.out
-    assert all(f"\n  {link} " in said.out for link in ("shoulder", "upper_arm", "forearm", "wrist_a", "wrist_b"))
-    assert said.err == "sampling 2000 poses\n"
-    # it is a URDF that every command takes; what was found for the meshes does not hold for it
-    assert read_robot_files(proposal, robot_yaml).joint_names == read_robot_files(urdf, robot_yaml).joint_names
-    main([str(proposal), str(robot_yaml), "-", "--samples", "300"])
-    assert "geometry: " + output.read_text().split("geometry: ")[1][:64] not in capsys.readouterr().out
 
 
 def test_an_arm_of_simple_shapes_gets_no_proposal(tmp_path, capsys):
