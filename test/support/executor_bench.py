@@ -106,12 +106,7 @@ def plan_of(motion: Trajectory, segments: tuple[Segment, ...], name: str, asked_
 class Gripper:
     """Gateway and gripper as an executor sees them: arms, fires in the cycle in which the playout passes the stamp, reads back.
 
-    Attributes:
-        playout: Delay of the playout [ns].
-        closing: Cycles from the switch to the input.
-        answers: Whether it says anything; it acts all the same.
-        jams: Output that does not fire.
-        fired: Output and value, in order.
+    `closing` are the cycles from the switch to the input, `jams` an output that does not fire; without `answers` it acts all the same.
     """
 
     def __init__(self):

@@ -74,14 +74,6 @@ def write_stl(path: Path, triangles: np.ndarray) -> str:
     return str(path)
 
 
-def write_binary_stl(path: Path, triangles: np.ndarray) -> str:
-    """Write triangles, shape (t, 3, 3) [m], as a binary STL file; return its path."""
-    rows = np.zeros(len(triangles), np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]))
-    rows["corners"] = triangles
-    path.write_bytes(bytes(80) + len(rows).to_bytes(4, "little") + rows.tobytes())
-    return str(path)
-
-
 def write_obj(path: Path, triangles: np.ndarray) -> str:
     """Write triangles, shape (t, 3, 3) [m], as an OBJ file; return its path."""
     vertices, corners = np.unique(np.asarray(triangles, dtype=float).reshape(-1, 3), axis=0, return_inverse=True)

@@ -114,11 +114,6 @@ class ScriptedRobot:
         broker: With the account of the robot's bridge.
         name: In the topics.
         period: Of `view` [s]; 0: only when `publish_view` is called.
-
-    Attributes:
-        heard: What came: topic below the robot's, payload.
-        verdicts: Taken: account, verdict, plan's id.
-        twin: Joint positions [rad].
     """
 
     def __init__(self, broker: Broker, name: str, prefix: str = "twin", period: float = VIEW):

@@ -20,15 +20,6 @@ class Unplugged:
     Args:
         pose: Takes the oldest age; returns every pose that the node asks for.
         parameters: Shared ones that are on the parameter server; what the node keeps there is put in.
-
-    Attributes:
-        node: What the shell started.
-        callbacks, services: What the node takes, by topic and name.
-        timers: What it does again and again, in the order in which it is declared.
-        published: What it published, by topic; messages, and of poses what they are made of.
-        refused, counted: Reason and sentence of each.
-        opened: What was opened, in order: as what, and its name.
-        report: Of the node that was made last.
     """
 
     diagnose: Callable

@@ -95,16 +95,10 @@ class Bench:
     """The node and its neighbours.
 
     Attributes:
-        scene: As the scene node has it.
-        scene_refuses: Why it changes nothing.
-        publishers: Nodes that publish a topic.
+        scene_refuses: Why the scene node changes nothing.
         planner_dies: ``before`` or ``after`` it has published a plan: it does not answer then. ``node``: the node ends instead, by
             `Killed`.
-        arm_pose: Where the arm is [rad].
         noted: What the node asked others for, and the event of the ledger's last line on the disk then.
-        refused: Reasons and sentences.
-        tasks: What it published.
-        plan: What the planner offers.
     """
 
     def __init__(self, monkeypatch, folder: Path):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scene_samples import ROOT, kr120, random_poses, write_binary_stl
+from scene_samples import ROOT, kr120, random_poses
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.robot.description import RobotModel, read_robot_files
@@ -67,6 +67,14 @@ def tube(start, end, radius: float, sides: int, rings: int) -> np.ndarray:
         two = (one + 1) % sides
         triangles += [(start, levels[0][two], levels[0][one]), (end, levels[-1][one], levels[-1][two])]
     return np.array(triangles)
+
+
+def write_binary_stl(path: Path, triangles: np.ndarray) -> str:
+    """Write triangles, shape (t, 3, 3) [m], as a binary STL file; return its path."""
+    rows = np.zeros(len(triangles), np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]))
+    rows["corners"] = triangles
+    path.write_bytes(bytes(80) + len(rows).to_bytes(4, "little") + rows.tobytes())
+    return str(path)
 
 
 def write_mesh_arm(folder: Path, sides: int = 24, rings: int = 6) -> Path:
