@@ -106,7 +106,7 @@ def plan_of(motion: Trajectory, segments: tuple[Segment, ...], name: str, asked_
 class Gripper:
     """Gateway and gripper as an executor sees them: arms, fires in the cycle in which the playout passes the stamp, reads back.
 
-    `closing` are the cycles from the switch to the input, `jams` an output that does not fire; without `answers` it acts all the same.
+    `closing` are the cycles from the switch to the input, `jams` an output that does not fire; without `answers` it acts all alike.
     """
 
     def __init__(self):

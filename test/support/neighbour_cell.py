@@ -17,8 +17,6 @@ from construction_twin.scene.objects import Scene, SceneObject
 
 #: Of the other arm's root in ours: to the left, within reach of each other.
 BESIDE = Pose(np.array([0.0, 2.6, 0.0]), np.eye(3))
-#: Far beyond the reach of both.
-FAR = Pose(np.array([0.0, 12.0, 0.0]), np.eye(3))
 #: The other arm stretched out towards us, and turned away.
 TOWARDS = HOME + np.radians([90, 40, -40, 0, 0, 0])
 AWAY = HOME + np.radians([-90, 0, 0, 0, 0, 0])
@@ -29,9 +27,9 @@ STRETCHED = HOME + np.radians([45, 75, -60, 0, 0, 0])
 
 
 @cache
-def other(place: str = "beside") -> Neighbour:
+def other() -> Neighbour:
     """Return the other arm."""
-    return Neighbour("other", ROBOT, {"beside": BESIDE, "far": FAR}[place])
+    return Neighbour("other", ROBOT, BESIDE)
 
 
 def line(start: np.ndarray, end: np.ndarray, count: int = 400) -> np.ndarray:
