@@ -139,7 +139,8 @@ def _measured_free(q, obstacles) -> bool:
 
 
 def test_an_arm_out_of_reach_costs_nothing():
-    obstacles = other("far").space_along(line(AWAY, TOWARDS))
+    far_away = Pose(np.array([0.0, 12.0, 0.0]), np.eye(3))
+    obstacles = Neighbour("other", ROBOT, far_away).space_along(line(AWAY, TOWARDS))
     alone, beside = (one.distances(NEAR) for one in (empty_world(), empty_world().with_neighbour(obstacles)))
     assert [pair.between for pair in beside] == [pair.between for pair in alone]
 
