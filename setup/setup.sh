@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Brings a Debian 12 machine to where construction_twin builds and runs. Safe to repeat; quick when nothing changed.
+# Brings a machine to where construction_twin builds and runs. Safe to repeat; quick when nothing changed. On Debian 12 and 13 it
+# installs Debian's ROS 1; where another one is sourced (ROS-O on Ubuntu: ROS_DISTRO is set), it uses that one and names what is missing.
 #
 #   setup/setup.sh           Debian packages, Python venv, catkin workspace
 #   setup/setup.sh work      the same, and the Python packages for work from a building model
@@ -15,7 +16,7 @@ root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)
 work="$root/.ws"
 venv="$work/venv"
 workspace="$work/catkin"
-python=/usr/bin/python3 # Debian's own: the only Python that sees Debian's rospy, tf2 and PyKDL
+python=/usr/bin/python3 # the system's: the only Python that sees its rospy, tf2 and PyKDL
 
 venv_alone=false
 [ "${1:-}" != venv ] || { venv_alone=true && shift; }
@@ -39,19 +40,44 @@ check_path() {
   esac
 }
 
+# Whether this shell has sourced a ROS that is not Debian's; a workspace on Debian's calls it Debian.
+other_ros() { [ -n "${ROS_DISTRO:-}" ] && [ "${ROS_DISTRO,,}" != debian ]; }
+
 check_system() {
   local id="" version=""
   if [ -r /etc/os-release ]; then
     id=$(. /etc/os-release && printf '%s' "${ID:-}")
     version=$(. /etc/os-release && printf '%s' "${VERSION_ID:-}")
   fi
-  [ "$id" = debian ] && [ "$version" = 12 ] ||
-    fail "this is '${id:-unknown} ${version:-}', and the ROS 1 packages used here are those of Debian 12 (bookworm). Use a Debian 12 machine or container."
+  case "$id $version" in
+    "debian 12" | "debian 13") ;;
+    *) fail "this is '${id:-unknown} ${version:-}': its ROS 1 packages are not known here. Use Debian 12 or 13 (a container will do: Containerfile), or source a ROS 1 for Python 3.10 or newer first (ROS-O: source /opt/ros/one/setup.bash)." ;;
+  esac
+}
+
+# What a ROS that is already there lacks of setup/debian-packages.txt, by name; without the first four nothing is built.
+check_other_ros() {
+  local missing
+  missing=$(
+    "$python" - rospy tf2_ros PyKDL catkin rosbag roslaunch rostest actionlib diagnostic_updater interactive_markers sensor_msgs trajectory_msgs visualization_msgs venv <<'EOF'
+import importlib.util
+import sys
+
+if sys.version_info < (3, 10):
+    print(f"Python 3.10 ({sys.executable} is {sys.version.split()[0]})")
+print(*(name for name in sys.argv[1:] if importlib.util.find_spec(name) is None), sep="\n")
+EOF
+    for program in catkin_make cmake g++ rviz mosquitto mosquitto_pub openssl; do command -v "$program" >/dev/null || printf '%s\n' "$program"; done
+  )
+  missing=$(printf '%s\n' "$missing" | sed '/^$/d' | tr '\n' ' ')
+  say "using ROS '$ROS_DISTRO', which is sourced here: no Debian packages are installed; missing: ${missing:-nothing}"
+  case " $missing" in *" Python 3.10"* | *" rospy "* | *" tf2_ros "* | *" PyKDL "* | *" catkin "*) fail "that ROS does not import: $missing" ;; esac
 }
 
 missing_packages() {
   local wanted
-  wanted=$(grep -hvE '^[[:space:]]*(#|$)' "${lists[@]}" | sort)
+  # a line with a version of Debian behind it is for that one
+  wanted=$(. /etc/os-release && grep -hvE '^[[:space:]]*(#|$)' "${lists[@]}" | awk -v version="$VERSION_ID" 'NF == 1 || $2 == version {print $1}' | sort)
   comm -23 <(printf '%s\n' "$wanted") \
     <(dpkg-query -W -f '${db:Status-Status} ${Package}\n' 2>/dev/null | sed -n 's/^installed //p' | sort -u)
 }
@@ -187,10 +213,10 @@ link_repository() {
   ln -sfn "$work/console" "$package/.ws/console"
 }
 
-# control_msgs, whose action other planners speak, is not in Debian 12. Where it is installed it is used, and ours must not be found.
+# control_msgs, whose action other planners speak, is not in Debian. Where it is installed it is used, and ours must not be found.
 provide_control_msgs() {
   local package="$workspace/src/control_msgs"
-  if [ -e /usr/share/control_msgs/package.xml ]; then
+  if [ -e "${ROS_ROOT:+${ROS_ROOT%/share/ros}}/share/control_msgs/package.xml" ] || [ -e /usr/share/control_msgs/package.xml ]; then
     [ ! -L "$package" ] || rm -r "$package" "$workspace"/build/control_msgs "$workspace"/devel/{include,share,lib/python3/dist-packages}/control_msgs
   else
     ln -sfn "$root/setup/control_msgs" "$package"
@@ -204,9 +230,9 @@ build_workspace() {
   say "building the catkin workspace $workspace"
   (
     cd "$workspace"
-    # an environment that belongs to another ROS installation must not leak into this build
-    unset ROS_PACKAGE_PATH CMAKE_PREFIX_PATH PYTHONPATH ROS_ROOT
-    PATH=/usr/bin:/bin catkin_make -DCATKIN_ENABLE_TESTING=ON
+    # an earlier environment of this workspace must not leak into its build
+    other_ros || { unset ROS_PACKAGE_PATH CMAKE_PREFIX_PATH PYTHONPATH ROS_ROOT && PATH=/usr/bin:/bin; }
+    catkin_make -DCATKIN_ENABLE_TESTING=ON
   ) >"$work/build.log" 2>&1 || fail "catkin_make failed; its last lines: $(tail -n 5 "$work/build.log" | tr '\n' ' ') (all of it: $work/build.log)"
   printf '%s\n' "$want" >"$stamp"
 }
@@ -228,8 +254,10 @@ EOF
 }
 
 check_path
-check_system
-"$venv_alone" || install_packages
+if other_ros; then check_other_ros; else
+  check_system
+  "$venv_alone" || install_packages
+fi
 make_venv
 case "${1:-}" in
   work | tests) add_packages work "work from a building model" ;;&

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import ctypes.util
 import dataclasses
 import struct
 from pathlib import Path
@@ -29,7 +30,7 @@ BOX = SceneObject("box", "box", (0.2, 0.3, 0.4), (1.0, -1.0, 0.5))
 
 def sdformat() -> ctypes.CDLL:
     """Return Debian's library; what its command line calls has a C interface."""
-    library = ctypes.CDLL("libsdformat12.so.12")
+    library = ctypes.CDLL(ctypes.util.find_library("sdformat12") or ctypes.util.find_library("sdformat14"))
     library.cmdCheck.argtypes = [ctypes.c_char_p]
     return library
 
