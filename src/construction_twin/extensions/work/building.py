@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.names import labels, with_names
 from construction_twin.kinematics.chain import Pose
@@ -155,6 +156,16 @@ class BuildingModel:
                 self.file, f"element {global_id!r}", "none of that GlobalId", "one of the model's elements"
             )
         return self.elements[global_id]
+
+    def named(self, name: str, where: str) -> Element:
+        """Return the one element of that GlobalId or name; `where`: the file or option that names it."""
+        if name in self.elements:
+            return self.elements[name]
+        found = [element for element in self.elements.values() if element.name == name]
+        if len(found) != 1:
+            expected = f"GlobalId or name of one element of {self.file}; {len(found)} have this name"
+            raise ConfigurationError(where, name, expected)
+        return found[0]
 
     def with_names(self, sentence: str, own: str = "") -> str:
         """Return a sentence with names in place of ids; `own`: id of the element that is called "the element"."""

@@ -105,14 +105,7 @@ class WorkCell:
 
     def base(self, building: BuildingModel) -> Element:
         """Return the element that stands for the robot's base."""
-        asked = self.file.base_element
-        if asked in building.elements:
-            return building.elements[asked]
-        found = [element for element in building.elements.values() if element.name == asked]
-        if len(found) != 1:
-            expected = f"GlobalId or name of one element of {building.file}; {len(found)} have this name"
-            raise ConfigurationError(f"{self.path}/base_element", asked, expected)
-        return found[0]
+        return building.named(self.file.base_element, f"{self.path}/base_element")
 
 
 def read_work_cell(path: str | Path) -> WorkCell:
