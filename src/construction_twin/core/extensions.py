@@ -12,7 +12,11 @@ from types import ModuleType
 from construction_twin.core.errors import ConfigurationError
 
 #: What setup/requirements-<group>.txt installs, by group: the names that Python imports.
-PACKAGES = {"console": ("aiohttp",), "work": ("ifc4d", "ifcopenshell", "isodate", "shapely", "xerparser"), "physics": ("mujoco",)}
+PACKAGES = {
+    "console": ("aiohttp",),
+    "work": ("ifc4d", "ifcopenshell", "isodate", "shapely", "xerparser"),
+    "physics": ("mujoco",),
+}
 
 
 class ExtensionAbsent(ConfigurationError):

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mcap.writer import Writer
 from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Reader, ReaderError
 from rosbags.serde import SerdeError
@@ -91,6 +92,11 @@ class Bag:
         for connection, received, data in self._reader.messages(chosen) if chosen else ():
             yield connection, data, received
 
+    def everything(self) -> Iterator[tuple[Connection, bytes, int]]:
+        """Yield connection, serialized message and reception [ns] of the whole bag, in order of reception."""
+        for connection, received, data in self._reader.messages():
+            yield connection, data, received
+
     def messages(self, types: Mapping[str, str]) -> Iterator[tuple[str, Any, int]]:
         """Yield topic, message and reception [ns]; see `raw`. A message has its type's fields as attributes."""
         for connection, data, received in self.raw(types):
@@ -132,6 +138,22 @@ def _definitions() -> tuple[Typestore, Mapping[str, str]]:
         store.register(get_types_from_msg(file.read_text(encoding="utf-8"), f"construction_twin/msg/{file.stem}"))
     names = sorted(set(TYPES.values()))
     return store, {name: store.generate_msgdef(name.replace("/", "/msg/"), ros_version=1)[1] for name in names}
+
+
+def write_mcap(path: str | Path, output: Path) -> None:
+    """Write everything in a bag as MCAP (profile ``ros1``), with the bag's own message definitions."""
+    with open_bag(path) as bag, output.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros1", library="construction_twin")
+        channels: dict[int, int] = {}
+        for connection, data, received in bag.everything():
+            if connection.id not in channels:
+                schema = writer.register_schema(
+                    connection.msgtype.replace("/msg/", "/"), "ros1msg", connection.msgdef.data.encode()
+                )
+                channels[connection.id] = writer.register_channel(connection.topic, "ros1", schema)
+            writer.add_message(channels[connection.id], received, data, received)
+        writer.finish()
 
 
 def nanoseconds(time: Any) -> int:

@@ -9,9 +9,11 @@ import genpy
 import numpy as np
 import pytest
 import rosbag
-from construction_twin.msg import Execution, Feedback, Link, Plan
+from construction_twin.msg import Execution, Feedback, Link, Plan, Sync
 from diagnostic_msgs.msg import KeyValue
 from evaluation_samples import BASE, JOINTS, link, run
+from mcap.reader import make_reader
+from mcap_ros1.decoder import DecoderFactory
 from plan_samples import make_plan
 from rosbags.typesys.store import Typestore
 from scene_samples import kr120
@@ -20,6 +22,7 @@ from std_msgs.msg import Header, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.share import share_file
 from construction_twin.evaluation.bag import read_recording
 from construction_twin.evaluation.summary import evaluate, summarise
 from construction_twin.extensions.planners.waypoint_file import parse_waypoints
@@ -99,6 +102,35 @@ def test_bag_gives_the_same_figures_as_the_run_itself(recording, full_bag):
     expected |= {"servo": "realistic", "mock": {"servo": "realistic"}}
     assert summarise(evaluate(read_recording(full_bag))) == expected
     assert expected["lag_s"] == pytest.approx(0.012, abs=1e-9)
+
+
+def test_the_whole_bag_as_mcap_is_read_by_another_reader_also_what_foxglove_s_layout_shows(full_bag, tmp_path, capsys):
+    report = tmp_path / "report"
+    assert main([str(full_bag), "--output", str(report), "--mcap"]) == 0
+    file = report / "recording.mcap"
+    assert str(file) in capsys.readouterr().out
+    with rosbag.Bag(str(full_bag)) as bag:
+        recorded = [(topic, message, stamp.to_nsec()) for topic, message, stamp in bag.read_messages()]
+    with file.open("rb") as opened:
+        reader = make_reader(opened, decoder_factories=[DecoderFactory()])
+        read = [(channel.topic, own, record.log_time) for _, channel, record, own in reader.iter_decoded_messages()]
+    assert len(read) == len(recorded) > 1000
+    for (topic, message, stamp), (own_topic, own, own_stamp) in zip(recorded, read):
+        assert (topic, stamp) == (own_topic, own_stamp)
+        if hasattr(message, "position"):
+            assert (
+                list(message.position) == list(own.position)
+                and message.header.stamp.to_nsec() == own.header.stamp.to_nsec()
+            )
+    layout = json.loads((share_file("config") / "foxglove_layout.json").read_text())
+    shown = [path["value"] for panel in layout["configById"].values() for path in panel.get("paths", [])]
+    # a topic, and a field of its message
+    kinds = {"sync": Sync, "execution": Execution, "link": Link, "joint_states": JointState}
+    for path in shown:
+        topic, _, field = path.removesuffix("[:]").rpartition(".")
+        assert field in kinds[topic.rpartition("/")[2]].__slots__
+    panels = [word for word in json.dumps(layout["layout"]).split('"') if "!" in word]
+    assert sorted(panels) == sorted(layout["configById"])
 
 
 def test_bag_of_the_two_joint_topics_is_enough_for_instant(recording, tmp_path):

@@ -15,7 +15,7 @@ from construction_twin.core.errors import ConstructionTwinError, command_message
 from construction_twin.core.extensions import import_extension
 from construction_twin.core.files import check_writable, write_atomically
 from construction_twin.core.share import share_file
-from construction_twin.evaluation.bag import PLAN, TYPES, choose_robot, open_bag, read_recording
+from construction_twin.evaluation.bag import PLAN, TYPES, choose_robot, open_bag, read_recording, write_mcap
 from construction_twin.evaluation.recording import Recording
 from construction_twin.evaluation.report import write_report
 from construction_twin.evaluation.tables import render_tables, table_console
@@ -88,6 +88,9 @@ def main(arguments: list[str] | None = None) -> int:
         "_evaluation",
     )
     parser.add_argument("--plans", action="store_true", help="also write each plan as plan_N.csv, for twin plan --csv")
+    parser.add_argument(
+        "--mcap", action="store_true", help="also write the bag as recording.mcap, for Foxglove or Rerun"
+    )
     xacro = "URDF or xacro for figure 8 and units (default: the one here that fits the bag)"
     parser.add_argument("--robot-xacro", type=Path, metavar="FILE", help=xacro)
     parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
@@ -97,11 +100,14 @@ def main(arguments: list[str] | None = None) -> int:
     def write(recording: Recording, directory: Path, console: Console) -> tuple[Path, ...]:
         robot = _robot(options, recording.joint_names)
         report = write_report(recording, robot, directory)
-        plans = _write_plans(options, robot, directory) if options.plans else ()
+        others = _write_plans(options, robot, directory) if options.plans else ()
+        if options.mcap:
+            others = (*others, directory / "recording.mcap")
+            write_mcap(options.bag, others[-1])
         render_tables(report.summary, console)
         if robot.joint_names != recording.joint_names:
             console.print(f"No figure8.png: {robot.name} has other joints than the bag: --robot-xacro, --robot-config.")
-        return (*report.files, *plans)
+        return (*report.files, *others)
 
     return report_bag("evaluate", options, write)
 
