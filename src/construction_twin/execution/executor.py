@@ -13,7 +13,6 @@ from construction_twin.core.sentences import Sentence, replace_part
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.engagement import Engagement
 from construction_twin.execution.machine import ExecutorMachine, TwinPose
-from construction_twin.execution.playback import StopForecaster
 from construction_twin.execution.segment_run import ToolOrder
 from construction_twin.execution.states import ACTIVE, ROWS, SURVIVED, ExecutorEvent, ExecutorState
 from construction_twin.monitor.settings import REPLAN, RESUME
@@ -262,10 +261,6 @@ class Executor(ExecutorMachine):
             return Sentence("braking plan {plan}", plan=plan)
         # also where the setpoints rest already, the gateway still plays what it has put off
         return Sentence("braking plan {plan}; the arm trails by much, and goes on until it is there", plan=plan)
-
-    def braking(self) -> StopForecaster | None:
-        """Return what tells where a stop that was just asked for will end, to be computed outside of any lock; else None."""
-        return self._played.braking(self.limit.lag) if self.state is ExecutorState.STOPPING else None
 
     def pause(self, now: int) -> str:
         """Brake along the path smoothly and rest on it. Plans asked for until `now` [ns] and not here are void."""

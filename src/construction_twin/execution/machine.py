@@ -41,13 +41,12 @@ class PlayRate:
 
     Attributes:
         fraction, reason: 0 to 1, and why; 0: it stands still until the limit is raised.
-        lag: How long the arm trails the setpoints, as far as is known [s].
         waits: For an arm that trails, because replies to it are lost, or because the gateway slows it.
         standing: Whether the plan has come to rest because of either.
     """
 
     def __init__(self):
-        self.fraction, self.reason, self.lag = 1.0, "", 0.0
+        self.fraction, self.reason = 1.0, ""
         self.standing = self.waits = False
 
     @property
@@ -58,9 +57,7 @@ class PlayRate:
     def on_lag(self, round_trip: float, servo_lag: float = 0.0) -> None:
         """Store how long the arm trails the setpoints: the round trip, and its servos' lag beyond that [s]; nan: unknown."""
         lag = round_trip + (servo_lag if 0.0 <= servo_lag < math.inf else 0.0)
-        known = round_trip >= 0.0 and lag < math.inf
-        self.lag = lag if known else 0.0
-        if known:
+        if round_trip >= 0.0 and lag < math.inf:
             self.waits = lag >= (KEEPS_UP if self.waits else TRAILS)
 
     def set_fraction(self, fraction: float, reason: str = "") -> None:

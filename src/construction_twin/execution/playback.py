@@ -9,15 +9,12 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
-from copy import copy
-from dataclasses import dataclass, replace
-from itertools import islice
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from construction_twin.core.errors import ExecutionError
 from construction_twin.core.limits import outside_tolerance
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
@@ -63,32 +60,6 @@ def distance_along(poses: Iterable[Sequence[float]]) -> StoppingPath:
         joints = [moved + abs(b - a) for moved, a, b in zip(joints, last, pose)]
         last, cycles = pose, cycles + 1
     return StoppingPath(tuple(joints), cycles * CYCLE)
-
-
-@dataclass(frozen=True)
-class StoppingForecast:
-    """Where a stop will end, stated before it has.
-
-    Attributes:
-        setpoints: From the last setpoint before the stop to rest.
-        arm: What the arm does, `lag` behind [s]: the same, and the setpoints before it that it has not reached yet.
-    """
-
-    setpoints: StoppingPath
-    arm: StoppingPath
-    lag: float
-
-    def text(self, robot: RobotModel) -> str:
-        """Return one clause for the answer to `stop`."""
-        path = self.setpoints.text(robot)
-        if self.lag <= 0.0:
-            return Sentence("setpoints come to rest after {path}", path=path)
-        return Sentence(
-            "setpoints come to rest after {path}; the arm, {lag:.3f} s behind, after {arm}",
-            path=path,
-            lag=self.lag,
-            arm=self.arm.text(robot),
-        )
 
 
 #: Halvings with which a single step on the path is brought into every joint's acceleration limit.
@@ -162,12 +133,6 @@ class Progress:
     def steady(self) -> bool:
         """True when the rate is what was asked for last."""
         return not self._ramp and self._now.rate == self._goal
-
-    def copy(self) -> Progress:
-        """Return an independent copy, to forecast with."""
-        other = copy(self)
-        other._ramp = self._ramp.copy()
-        return other
 
     def rest_at(self, elapsed: float) -> None:
         """Stand still at a time along the trajectory [ns], to the last bit: the gate has brought the joints to rest there."""
@@ -301,12 +266,8 @@ class Progress:
 
 #: A plan may start this far from the present pose [rad], and has moved when it is further from its start; rounding, not motion.
 START_TOLERANCE = 1e-6
-#: Setpoints that are remembered: 3 s. What the arm has not reached yet belongs to the forecast of a stop.
-HISTORY = 750
 #: Newest setpoints of which one may be the last that passed a gate: 1 s. The monitor is heard within 0.5 s, or it counts as silent.
 RECENT = 250
-#: Setpoints that a forecast computes in one go: about 1 ms of Python.
-SETPOINTS_AT_ONCE = 4
 
 
 class Playback(Progress):
@@ -329,7 +290,7 @@ class Playback(Progress):
             # it stands at its beginning until the first segment is entered
             self.bound(0.0)
         #: Stamp and time along the trajectory of the last setpoints [ns].
-        self._history: deque[tuple[int, float]] = deque(maxlen=HISTORY)
+        self._history: deque[tuple[int, float]] = deque(maxlen=RECENT)
 
     @property
     def moved(self) -> bool:
@@ -355,7 +316,7 @@ class Playback(Progress):
 
     def knows(self, stamp: int) -> bool:
         """Return whether a setpoint of this execution had this nominal stamp [ns]; of those too long ago nothing is known."""
-        return any(known == stamp for known, _ in islice(reversed(self._history), RECENT))
+        return any(known == stamp for known, _ in self._history)
 
     def rest_where(self, stamp: int) -> None:
         """Stand, from the next setpoint on, where the setpoint with this nominal stamp [ns] was: one that it `knows`."""
@@ -373,42 +334,3 @@ class Playback(Progress):
         if self.goal_stamp == 0 and self.finished:
             self.goal_stamp = stamp
         return setpoint
-
-    def braking(self, lag: float) -> StopForecaster:
-        """Return what is needed to forecast a stop that begins now, of an arm that trails by `lag` [s], 0: unknown."""
-        if lag < 0.0:
-            raise ExecutionError(Sentence("a lag of {lag:.3f} s, expected 0 or more: a clock was set", lag=lag))
-        if len(self._history) == HISTORY and lag > (HISTORY - 1) * CYCLE:
-            lag = 0.0
-        cycles = min(-int(-lag * NANOSECONDS // CYCLE_NS), len(self._history) - 1)
-        in_flight = [elapsed for _, elapsed in list(self._history)[len(self._history) - 1 - cycles :]]
-        return StopForecaster(self.copy(), in_flight, lag)
-
-
-class StopForecaster:
-    """The forecast of a stop, on a copy, which is used up: it needs no lock and holds up no cycle.
-
-    `in_flight`: times along the trajectory of the setpoints that the arm has not reached yet [ns], the newest last.
-    """
-
-    def __init__(self, progress: Progress, in_flight: Sequence[float], lag: float):
-        self._progress = progress
-        self._in_flight = in_flight
-        self._lag = lag
-
-    def forecast(self, pause: Callable[[], None] = lambda: None) -> StoppingForecast:
-        """Brake the copy to rest; return the distance it took. `pause` is called every few setpoints: others must run, too."""
-        progress, sample = self._progress, self._progress.trajectory.sample
-        before = []
-        for number, elapsed in enumerate(self._in_flight, start=1):
-            before.append(tuple(sample(elapsed / NANOSECONDS)[0].tolist()))
-            if number % SETPOINTS_AT_ONCE == 0:
-                pause()
-        poses = [before[-1]]
-        while not (progress.at_rest or progress.finished):
-            poses.append(progress.brake())
-            if len(poses) % SETPOINTS_AT_ONCE == 0:
-                pause()
-        arm = distance_along(before[:-1] + poses)
-        # a cycle more: the arm may be anywhere between two setpoints
-        return StoppingForecast(distance_along(poses), replace(arm, time=arm.time + CYCLE), self._lag)

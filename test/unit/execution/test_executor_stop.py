@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from executor_bench import ACCELERATION, GOAL, ROBOT, Bench, limited_motion, make_plan, reach, within_acceleration
@@ -11,6 +13,8 @@ from hypothesis import strategies as st
 from construction_twin.core.errors import ExecutionError, ReviewError
 from construction_twin.core.units import CYCLE
 from construction_twin.execution.executor import ExecutorState
+from construction_twin.execution.playback import StoppingPath, distance_along
+from construction_twin.monitor.states import SyncState
 from construction_twin.robot.trajectory import Trajectory
 
 
@@ -95,18 +99,43 @@ class TestStop:
     def test_a_changed_scene_while_it_brakes_changes_neither_cause_nor_way(self, bench):
         bench.play(make_plan(), 250)
         bench.executor.stop(bench.stamp)
-        stated = bench.executor.braking().forecast().setpoints.text(ROBOT)
-        bench.run(5)
+        braking = [bench.twin, *bench.run(5)]
         bench.executor.on_scene("0ther")
         assert bench.executor.reason == "stop requested"
-        bench.run_until_idle()
-        assert bench.executor.reason == f"stop requested; at rest after {stated}"
+        braking += bench.run_until_idle()
+        assert bench.executor.reason == f"stop requested; at rest after {distance_along(braking).text(ROBOT)}"
+        assert bench.executor.pop_events()[0].reason == bench.executor.reason
+
+    def test_a_hold_while_it_brakes_ends_the_plan_as_stopped(self, bench):
+        bench.play(make_plan(), 250)
+        bench.executor.stop(bench.stamp)
+        bench.run(4)
+        held, bench.passing = bench.stamp, False
+        bench.run(2)
+        bench.executor.on_sync(SyncState.HOLDING, False, "resume", held)
+        assert (bench.state, bench.executor.outcome) == (ExecutorState.IDLE, "stopped")
+        assert "HOLDING" in bench.executor.reason
 
     def test_a_changed_scene_ends_a_plan_that_has_not_begun(self, bench):
         bench.approve(make_plan())
         bench.executor.on_scene("0ther")
         assert (bench.state, bench.executor.outcome) == (ExecutorState.IDLE, "stopped")
         assert set(bench.run(100)) == {ROBOT.home}
+
+
+class TestStoppingPath:
+    def test_names_the_joint_that_moves_most(self):
+        text = StoppingPath((0.0, 0.1, 0.2, 0.0, -0.0, 0.05), 0.2124).text(ROBOT)
+        assert text == f"0.212 s and at most {np.rad2deg(0.2):.3f} deg of joint_a3"
+
+    def test_names_the_linear_joint_too_in_mm(self):
+        robot = replace(ROBOT, linear=(True, *ROBOT.linear[1:]))
+        path = StoppingPath((0.25, np.deg2rad(0.1), 0, 0, 0, 0), 1.0)
+        assert "0.100 deg of joint_a2, 250.000 mm of joint_a1" in path.text(robot)
+
+    def test_ways_there_and_back_add_up(self):
+        assert distance_along([(0.0, 1.0), (0.5, 1.0), (0.25, 0.0)]) == StoppingPath((0.75, 1.0), 2 * CYCLE)
+        assert distance_along([(0.0, 1.0)]) == StoppingPath((0.0, 0.0), 0.0)
 
 
 def pause_after(bench: Bench, cycles: int, motion: Trajectory | None = None) -> list:

@@ -1,6 +1,6 @@
 """stop, stop_plan, pause and reject are carried out and answered whatever fails beside them, and whatever the wall clock does.
 
-Each act on the executor's node, with everything that reports, records or predicts failing in turn; halt is in test_bridge_halt, the
+Each act on the executor's node, with everything that reports or records failing in turn; halt is in test_bridge_halt, the
 gateway's own stop in test_gateway_stop_beside, the way over MQTT in test_acts.
 """
 
@@ -17,7 +17,6 @@ from construction_twin.core.errors import RecordError
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.execution import machine as library
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.execution.playback import Playback, StopForecaster, StoppingForecast
 from construction_twin.execution.upkeep import ExecutionNews
 from construction_twin.review.record import ReviewLog
 from construction_twin.ros.nodes import executor as module
@@ -86,11 +85,8 @@ def setpoints(world: World) -> list[tuple[float, ...]]:
     return [message[1] for name, message in world.said if name == "next/joint_states"]
 
 
-#: What reports, records or predicts: where it is, and the acts that come by it.
+#: What reports or records: where it is, and the acts that come by it.
 HELPERS = {
-    "the forecast's beginning": (Playback, "braking", ("stop",)),
-    "the forecast": (StopForecaster, "forecast", ("stop",)),
-    "its sentence": (StoppingForecast, "text", ("stop",)),
     "how far it went": (library, "distance_along", ("stop", "stop_plan")),
     "the name of the caller": (module, "caller_of", ("stop_plan",)),
     "the verdict on a waiting plan": (library.ExecutorMachine, "record_withdrawal", ("stop",)),
@@ -205,10 +201,10 @@ def test_and_of_what_goes_on_failing_not_before_the_arm_is_at_rest(world, monkey
 
 def test_a_log_that_fails_while_it_is_told_of_is_counted_and_not_told_of_again():
     side_effects = SideEffects()
-    assert side_effects.run("the forecast", fail) is None and side_effects.run("the sum", sum, (1, 2)) == 3
+    assert side_effects.run("the record", fail) is None and side_effects.run("the sum", sum, (1, 2)) == 3
     for _ in range(3):
         side_effects.write(fail)
-    assert side_effects.counts() == {"the forecast": 1, "the log": 1}
+    assert side_effects.counts() == {"the record": 1, "the log": 1}
     assert side_effects.sentence.startswith("the log failed beside an act") and "(2 so far)" in side_effects.sentence
 
 
@@ -225,6 +221,6 @@ def test_an_exception_without_a_text_is_told_all_the_same():
     def mute():
         raise Mute
 
-    side_effects.run("the forecast", mute)
+    side_effects.run("the record", mute)
     side_effects.write(lambda form, text: told.append(form % text))
-    assert "the forecast failed beside an act that was carried out in mute" in told[0] and "Mute" in told[0]
+    assert "the record failed beside an act that was carried out in mute" in told[0] and "Mute" in told[0]

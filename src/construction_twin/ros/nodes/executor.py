@@ -20,7 +20,7 @@ from construction_twin.core.extensions import import_extension
 from construction_twin.core.files import check_writable
 from construction_twin.core.freshness import parse_moment, present_moment
 from construction_twin.core.reports import SessionRequest, SpeedChange, ToolReport
-from construction_twin.core.sentences import Sentence, join_sentences
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import SpeedLimit
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.approval import AUTO_APPROVE, Approval, AutoApproval, ConflictVerdicts
@@ -48,8 +48,6 @@ SYNC_TIMEOUT = NANOSECONDS // 2
 BACKGROUND_PERIOD = 0.05
 #: Between two reads of the twin's pose [s]: its pose is needed where it rests, and counts as known for much longer.
 TWIN_PAUSE = 0.02
-#: How long the forecast of a stop leaves the processor to the cycle, every few setpoints [s].
-PAUSE = 0.0005
 _Result = TypeVar("_Result")
 
 
@@ -74,7 +72,7 @@ class ExecutorNode:
     """ROS around an `Executor`, whose lock it holds for every use. A method for each of 18 topics and services."""
 
     def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
-        self._robot, self._node_io, self._diagnostics = robot, node_io, node_io.diagnostics
+        self._node_io, self._diagnostics = node_io, node_io.diagnostics
         self._log = ReviewLog(robot_file(settings.review_file, robot.name), time.time_ns)
         file = self._log.file.path
         left = file.with_name(f"{file.stem}_engagement.json")
@@ -221,13 +219,6 @@ class ExecutorNode:
         """Brake on the path and drop the plan."""
         with self._lock:
             sentence = self.executor.stop(self._now())
-            braking = self.side_effects.run("the forecast of a stop", self.executor.braking)
-        # it brakes already; the forecast takes some cycles' time, and must not hold up a setpoint
-        if braking is not None:
-            forecast = self.side_effects.run(
-                "the forecast of a stop", lambda: braking.forecast(lambda: time.sleep(PAUSE)).text(self._robot)
-            )
-            sentence = join_sentences(sentence, forecast or Sentence("how far it goes on is not known"))
         return self._log_answer("stop", sentence, rospy.logwarn)
 
     def on_stop_plan(self, request: srv.StopPlanRequest) -> str:
