@@ -18,6 +18,7 @@ from construction_twin.core.reports import WorkReport
 from construction_twin.extensions.console.message_board import Message
 from construction_twin.extensions.console.remote_review import PathView, PlanView, SceneView
 from construction_twin.extensions.console.remote_view import VERSION, View
+from construction_twin.extensions.console.status_line import Line
 from construction_twin.mqtt.requests import (
     ACKNOWLEDGE,
     ANSWER,
@@ -30,7 +31,6 @@ from construction_twin.mqtt.requests import (
     RequestKind,
 )
 from construction_twin.review.rehearsal_report import RehearsalReport
-from construction_twin.views.status_line import Line
 
 #: What the page checks, by the name of the constant in web/src/schemas.js; of a kind of request its answer. `pause/ack` is as
 #: `stop/ack`.

@@ -18,11 +18,11 @@ from construction_twin.extensions.console.message_board import MAX_MESSAGES, ORD
 from construction_twin.extensions.console.nodes.endpoint import Connection
 from construction_twin.extensions.console.nodes.feed import ConsoleFeed
 from construction_twin.extensions.console.remote_view import ViewWriter
+from construction_twin.extensions.console.status_line import TABLE, CurrentReports, Level, status_lines
 from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
 from construction_twin.views.startup import ReportedState
-from construction_twin.views.status_line import TABLE, CurrentReports, Level, status_lines
 
 ARMED, IN_SYNC, IDLE = ReportedState("ARMED", ""), ReportedState("IN_SYNC", ""), ReportedState("IDLE", "")
 

@@ -21,7 +21,7 @@ from construction_twin.core.records import to_json
 from construction_twin.core.reports import SpeedChange
 from construction_twin.core.sentences import Sentence, templates_of
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.views.status_line import Level, Line
+from construction_twin.extensions.console.status_line import Level, Line
 
 #: Messages that are kept, the newest; and the largest file that is read [bytes].
 MAX_MESSAGES, MAX_BYTES = 100, 4 << 20

@@ -45,6 +45,7 @@ from construction_twin.extensions.console.remote_view import (
     ViewInputs,
     ViewWriter,
 )
+from construction_twin.extensions.console.status_line import CurrentReports, Line, status_lines
 from construction_twin.link.requests import Acknowledgement
 from construction_twin.mqtt.requests import ACKNOWLEDGE
 from construction_twin.msg import (
@@ -67,7 +68,6 @@ from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.scene.objects import Scene
 from construction_twin.views.startup import Deployment, ReportedState, StartupInputs, first_missing
-from construction_twin.views.status_line import CurrentReports, Line, status_lines
 from construction_twin.views.texts import hold_cause
 
 #: The status line is looked at so often, and sent again without a change after so long [s].

@@ -8,11 +8,7 @@ from construction_twin.core.records import json_value
 from construction_twin.core.reports import TaskReport, WorkReport
 from construction_twin.core.sentences import Sentence, templates_of
 from construction_twin.execution.states import ExecutorState
-from construction_twin.extensions.work.task_memory import TaskState
-from construction_twin.link.observations import LinkState
-from construction_twin.monitor.states import SyncState
-from construction_twin.views.startup import Deployment, Missing, ReportedState
-from construction_twin.views.status_line import (
+from construction_twin.extensions.console.status_line import (
     TABLE,
     TOPICS,
     CurrentReports,
@@ -20,6 +16,10 @@ from construction_twin.views.status_line import (
     status_lines,
     work_state,
 )
+from construction_twin.extensions.work.task_memory import TaskState
+from construction_twin.link.observations import LinkState
+from construction_twin.monitor.states import SyncState
+from construction_twin.views.startup import Deployment, Missing, ReportedState
 
 HERE = Deployment("/kr120", "mock", "127.0.0.1:1883", "127.0.0.1:49152", True)
 WELL = CurrentReports(ReportedState("ARMED", ""), ReportedState("IN_SYNC", ""), ReportedState("IDLE", ""))
