@@ -140,14 +140,13 @@ class Connection:
 
         It goes with QoS 0, as all that compas_eve publishes: only the answer proves that it arrived.
         """
-        if not isinstance(trajectory, JointTrajectory):
-            raise TwinProblem(f"a {type(trajectory).__name__} is no JointTrajectory of compas_fab")
+        document = trajectory_document(trajectory)
         if not self.is_connected:
             raise TwinProblem("not connected: the broker is not there, or does not know this account")
         name = uuid.uuid4().hex
         with self._lock:
             self._sent[name] = self._clock()
-        self._publisher.publish(Message(id=name, source=source[:64], trajectory=trajectory))
+        self._publisher.publish(Message(id=name, source=source[:64], **document))
         self.last_sent = name
         return name
 
@@ -291,6 +290,25 @@ def trajectory_through(configurations: list[Configuration]) -> JointTrajectory:
         for each in configurations
     ]
     return JointTrajectory(points, list(configurations[0].joint_names), fraction=1.0)
+
+
+def trajectory_document(trajectory: JointTrajectory) -> dict:
+    """Return a trajectory as `trajectory` has it on MQTT; compas_fab writes zeros for velocities that are not given."""
+    if not isinstance(trajectory, JointTrajectory):
+        raise TwinProblem(f"a {type(trajectory).__name__} is no JointTrajectory of compas_fab")
+    if trajectory.fraction not in (None, 1.0):
+        raise TwinProblem(f"fraction is {trajectory.fraction:g}: only a part of the path was planned; plan it again")
+    points = []
+    for point in trajectory.points:
+        time_from_start = point.time_from_start.secs + point.time_from_start.nsecs * 1e-9
+        points.append({"positions": list(point.joint_values), "time_from_start": time_from_start})
+    for key in ("velocities", "accelerations"):
+        rows = [list(getattr(point, key)) for point in trajectory.points]
+        if any(map(any, rows)):
+            for point, row in zip(points, rows):
+                point[key] = row
+    names = trajectory.joint_names or (trajectory.points[0].joint_names if trajectory.points else [])
+    return {"units": {"angle": "rad", "length": "m", "time": "s"}, "joint_names": list(names), "points": points}
 
 
 def trajectory_to_frames(

@@ -4,9 +4,6 @@ function write_csv(file, joints, linear, t, q, qd, qdd)
 %   twin.write_csv(file, joints, linear, t, q, qd, qdd)
 %
 %   linear  logical, one per joint: prismatic. t may be [] (the planner times the path), and so may qd and qdd.
-%
-%   writematrix([t q], file) is read as well, with 15 digits, and only with its columns told:
-%   twin plan --csv FILE --columns time_s,joints_rad
   units = repmat({'rad'}, 1, numel(joints));
   units(logical(linear)) = {'m'};
   names = {};

@@ -285,7 +285,7 @@ class GoalRequest:
         speed_scale, acceleration_scale, duration: Fractions of the limits, and [s]; 0: the planner's default.
         task: Of the building model; empty: the next one.
         frame: Of tf; by MQTT always "", the base_link.
-        path, columns: Of a file of waypoints on the planner's machine.
+        path: Of a file of waypoints on the planner's machine.
     """
 
     kind: str
@@ -302,7 +302,6 @@ class GoalRequest:
     frame: str = ""
     duration: float = 0.0
     path: str = ""
-    columns: str = ""
 
 
 class WayBack(Request):

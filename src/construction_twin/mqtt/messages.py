@@ -276,9 +276,6 @@ def identity_of(
         except PayloadError:
             return {}
     found = {name: document[name] for name in _IDENTITY if name in document}
-    if "dtype" in document and "guid" in document:
-        # an object of COMPAS
-        found.setdefault("id", document["guid"])
     return {name: value for name, value in found.items() if isinstance(value, str) and is_short_text(value)}
 
 

@@ -91,9 +91,7 @@ def parser(robot: str) -> argparse.ArgumentParser:
     status = command("status", "say what link, gate and executor do")
     status.add_argument("--ready", action="store_true", help="end with 1 unless a plan could be approved now")
     command("rehearsal", "show what the simulated arm found of the newest plan; ends with 1 unless it passed")
-    scene = command("scene", "list what the arm must not touch, or write it for another planner")
-    moveit = "write what stands in it as a .scene file of MoveIt; - for the terminal"
-    scene.add_argument("--moveit", metavar="FILE", help=moveit)
+    command("scene", "list what the arm must not touch")
     with contextlib.suppress(ExtensionAbsent):
         steps = import_extension("work.twin_arguments").add_steps
         steps(command("work", "work from a building model: its tasks, what comes next, what people say"), common)
@@ -108,8 +106,6 @@ def _add_plan(plan: argparse.ArgumentParser) -> None:
     goal.add_argument("--joints", type=finite, nargs="+", metavar="VALUE", help=values)
     goal.add_argument("--pose", type=finite, nargs=6, metavar=pose, help="of tool0: position [mm], KUKA's angles [deg]")
     goal.add_argument("--csv", metavar="FILE", help="joint waypoints in a file on the planner's machine")
-    columns = "with --csv, for a file of numbers alone: time_s,joints_rad or joints_deg or each by its name"
-    plan.add_argument("--columns", default="", metavar="NAMES", help=columns)
     plan.add_argument("--line", action="store_true", help="with --pose: move the tool on a straight line")
     frame = "with --pose: link of the robot or tf frame of the pose [the robot's base]"
     plan.add_argument("--frame", default="", metavar="FRAME", help=frame)
@@ -150,8 +146,6 @@ def check(options: argparse.Namespace) -> str:
     for name in ("line", "frame", "configuration"):
         if getattr(options, name) and not options.pose:
             return f"--{name} belongs to --pose"
-    if options.columns and not options.csv:
-        return "--columns belongs to --csv"
     if options.tool_speed and not options.line:
         return "--tool-speed belongs to --line"
     if options.configuration and options.line:

@@ -29,7 +29,6 @@ class Asked(NamedTuple):
     acceleration: float = 0.0
 
 
-ZERO = (0.0,) * 6
 DEFAULT = Tolerances.default(ROBOT, 0.01, 0.005)
 
 
@@ -38,15 +37,8 @@ def off(joint: int, value: float) -> tuple[float, ...]:
 
 
 def test_zero_is_the_default_negative_no_bound_and_the_rest_as_asked():
-    asked = [
-        Asked(NAMES[1], 0.0),
-        Asked(NAMES[2], -1.0, -1.0, -1.0),
-        Asked(NAMES[3], 0.2, 0.5),
-    ]
-    taken = DEFAULT.overridden_by(ROBOT, asked)
-    assert taken.position == (0.01, 0.01, math.inf, 0.2, 0.01, 0.01)
-    assert taken.velocity == (math.inf, math.inf, math.inf, 0.5, math.inf, math.inf)
-    assert taken.acceleration == (math.inf,) * 6
+    asked = [Asked(NAMES[1], 0.0), Asked(NAMES[2], -1.0, -1.0, -1.0), Asked(NAMES[3], 0.2)]
+    assert DEFAULT.overridden_by(ROBOT, asked).position == (0.01, 0.01, math.inf, 0.2, 0.01, 0.01)
 
 
 def test_a_default_of_zero_is_no_bound_and_prismatic_joints_have_their_own():
@@ -56,27 +48,26 @@ def test_a_default_of_zero_is_no_bound_and_prismatic_joints_have_their_own():
 
 @pytest.mark.parametrize("joint", range(6))
 def test_a_joint_that_is_off_is_named_with_value_and_tolerance(joint):
-    tolerances = DEFAULT.overridden_by(ROBOT, [Asked(name, 0.1, 0.2, 0.3) for name in NAMES])
-    assert tolerances.violation(ROBOT, off(joint, -0.1), off(joint, 0.2), off(joint, 0.3)) == ""
-    name = NAMES[joint]
-    for quantity, errors, error, bound in (
-        ("position", (off(joint, math.radians(-6)), ZERO, ZERO), Quantity(math.radians(6), "rad"), 0.1),
-        ("velocity", (ZERO, off(joint, 1.0), ZERO), Quantity(1.0, "rad/s"), 0.2),
-        ("acceleration", (ZERO, ZERO, off(joint, 1.0)), Quantity(1.0, "rad/s^2"), 0.3),
-    ):
-        found = tolerances.violation(ROBOT, *errors)
-        assert found.startswith(f"the {quantity} of {name} is off by ")
-        assert {key: found.values[key] for key in ("joint", "error", "bound")} == {
-            "joint": name,
-            "error": error,
-            "bound": Quantity(bound, error.unit),
-        }
+    tolerances = DEFAULT.overridden_by(ROBOT, [Asked(name, 0.1) for name in NAMES])
+    assert tolerances.violation(ROBOT, off(joint, -0.1)) == ""
+    found = tolerances.violation(ROBOT, off(joint, math.radians(-6)))
+    assert found.startswith(f"the position of {NAMES[joint]} is off by ")
+    assert {key: found.values[key] for key in ("error", "bound")} == {
+        "error": Quantity(math.radians(6), "rad"),
+        "bound": Quantity(0.1, "rad"),
+    }
 
 
 def test_a_pose_that_is_no_number_does_not_pass():
-    violation = DEFAULT.violation(ROBOT, off(0, math.nan), ZERO, ZERO)
-    assert violation != ""
-    assert math.isnan(violation.values["error"].value)
+    assert math.isnan(DEFAULT.violation(ROBOT, off(0, math.nan)).values["error"].value)
+
+
+@pytest.mark.parametrize("bound", [{"velocity": 0.5}, {"acceleration": 0.5}, {"velocity": math.nan}])
+def test_a_bound_that_is_not_watched_is_refused(bound):
+    with pytest.raises(
+        GoalError, match="goal_tolerance bounds velocity or acceleration of joint_a1; expected a position"
+    ):
+        DEFAULT.overridden_by(ROBOT, [Asked("joint_a1", 0.1, **bound)])
 
 
 def test_a_tolerance_of_a_foreign_joint_or_of_no_number_is_refused():
@@ -87,9 +78,9 @@ def test_a_tolerance_of_a_foreign_joint_or_of_no_number_is_refused():
         DEFAULT.overridden_by(ROBOT, [Asked("elbow", 0.1)])
     with pytest.raises(
         GoalError,
-        match="goal_tolerance: the velocity of joint_a1 is nan",
+        match="goal_tolerance: the position of joint_a1 is nan",
     ):
-        DEFAULT.overridden_by(ROBOT, [Asked("joint_a1", 0.1, math.nan)])
+        DEFAULT.overridden_by(ROBOT, [Asked("joint_a1", math.nan)])
 
 
 @pytest.mark.parametrize("second", [0.2, 0.1])

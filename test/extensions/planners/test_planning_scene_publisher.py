@@ -17,14 +17,12 @@ import rospkg
 import rospy
 from genpy.dynamic import generate_dynamic
 from planning_cell import ROBOT
-from scene_samples import box_triangles, kr120, kr120_pairs, write_stl
+from scene_samples import box_triangles, kr120, kr120_pairs, track7, track7_pairs, write_stl
 
 from construction_twin.extensions.planners.nodes.planning_scene import MoveitTypes, PlanningScenePublisher
-from construction_twin.extensions.planners.planner_scene import planner_scene
 from construction_twin.kinematics.chain import Pose
 from construction_twin.ros.nodes.scene import PLANNING_SCENE
 from construction_twin.ros.shared import node_shell as ports
-from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.objects import Scene, SceneObject
 
 #: Of moveit_msgs 1.0 and 1.1, the versions of Noetic.
@@ -202,6 +200,7 @@ class MoveitScene:
 TYPES = MoveitTypes(*modules())
 TABLE = SceneObject("table", "box", (1.0, 2.0, 0.1), (1.5, 0.0, 0.5))
 PART = SceneObject("part", "cylinder", (0.05, 0.4), (1.5, 0.0, 0.75), padding=0.01)
+PIPE = SceneObject("pipe", "cylinder", (0.1, 3.0), (-1.5, 0.0, 1.5))
 STAMP = genpy.Time(12, 34)
 IN_HAND = Pose(np.array([0.0, 0.0, 0.2]), np.eye(3))
 
@@ -281,19 +280,30 @@ def test_a_carried_object_hangs_on_its_link_with_what_it_may_touch():
     assert item.object.primitive_poses[0].position.z == pytest.approx(0.2)
     assert set(item.touch_links) == {"link_5", "link_6", "flange", "tool0"}
     assert [thing.id for thing in message.world.collision_objects] == ["table"]
-    matrix = message.allowed_collision_matrix
-    row = matrix.entry_values[matrix.entry_names.index("part")].enabled
-    assert row[matrix.entry_names.index("table")] and not row[matrix.entry_names.index("link_2")]
 
 
-def test_the_matrix_is_the_one_that_we_check_by():
-    scene = Scene((TABLE, PART), padding=0.02)
-    (message,) = published_messages(scene)
+def test_who_is_checked_with_whom_is_what_our_own_world_checks():
+    carried = Scene((TABLE, PIPE, PART), padding=0.02).attach("part", "tool0", IN_HAND, ("link_5", "table"))
+    (message,) = published_messages(carried)
     matrix = message.allowed_collision_matrix
-    expected = planner_scene(RobotBodies(kr120()), scene, kr120_pairs())
-    assert tuple(matrix.entry_names) == expected.names
-    assert [list(map(bool, row.enabled)) for row in matrix.entry_values] == expected.allowed.tolist()
+    allowed = np.array([row.enabled for row in matrix.entry_values], dtype=bool)
+    assert (allowed == allowed.T).all() and allowed.diagonal().all()
+
+    def may_touch(one: str, other: str) -> bool:
+        return bool(allowed[matrix.entry_names.index(one), matrix.entry_names.index(other)])
+
+    assert may_touch("link_0", "table"), "pedestal and table: nothing moves either"
+    assert not may_touch("link_3", "table") and not may_touch("part", "pipe") and not may_touch("part", "link_0")
+    assert may_touch("part", "table") and may_touch("part", "link_5") and may_touch("part", "link_6")
+    assert may_touch("link_1", "link_2") and not may_touch("link_1", "link_5")
     assert (matrix.default_entry_names, list(map(bool, matrix.default_entry_values))) == (["link_0"], [True])
+
+
+def test_the_track_s_base_is_its_own_frame():
+    wire = Wire()
+    PlanningScenePublisher(TYPES, track7(), track7_pairs(), wire).publish(Scene((PIPE,)), STAMP)
+    (pipe,) = wire.messages[0].world.collision_objects
+    assert pipe.header.frame_id == track7().base_link
 
 
 def test_moveit_follows_an_object_that_is_lifted_put_down_and_removed():

@@ -45,9 +45,9 @@ def goal(name: str = "a", client: str = "/move_group", motion: str = "") -> Traj
 
 def off_by(error: float) -> Sample:
     """A sample in which the second joint is off [rad]."""
-    desired = Motion(ROBOT.home, REST, REST)
+    desired = Motion(ROBOT.home, REST)
     position = tuple(q + (error if index == 1 else 0.0) for index, q in enumerate(ROBOT.home))
-    return Sample(1, desired, Motion(position, REST, REST))
+    return Sample(1, desired, Motion(position, REST))
 
 
 class Desk:

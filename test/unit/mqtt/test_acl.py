@@ -193,7 +193,6 @@ def test_a_person_does_at_each_robot_what_was_granted_there_in_the_person_s_own_
 
 
 def test_a_long_trajectory_passes_the_broker_and_a_still_longer_one_does_not(site, crowd):
-    """At 16 kB to 64 kB most of compas_fab's would be cut off."""
     bridge, long = crowd["one-bridge"], b"x" * 3_000_000
     crowd["olaf"].publish("twin/one/trajectory", long)
     wait_until(lambda: ("twin/one/trajectory", long) in bridge.messages, what="3 MB")

@@ -98,14 +98,10 @@ def test_a_motion_is_the_same_in_matlab_and_in_the_script_that_stands_in(tmp_pat
     motion = written(code, tmp_path, "motion")
     assert np.allclose(motion, np.column_stack(twin_script.rest_to_rest(CORNERS, 9.5, 120)), atol=1e-12, rtol=0.0)
     # and the planner takes it as it is: at rest at both ends, within every limit
-    text = format_matrix(ROBOT, motion)
-    planned = plan_waypoints(parse_waypoints(text, ROBOT, "time_s,joints_rad,joints_rad_s,joints_rad_s2"), HOME, ROBOT)
+    names = [f"{name}_rad{rate}" for rate in ("", "_s", "_s2") for name in ROBOT.joint_names]
+    lines = [",".join(f"{value:.15g}" for value in row) for row in motion]
+    planned = plan_waypoints(parse_waypoints("\n".join([",".join(["time_s", *names]), *lines]), ROBOT), HOME, ROBOT)
     assert planned.duration == 9.5 and np.abs(planned.positions - motion[:, 1:7]).max() < 1e-12
-
-
-def format_matrix(robot, rows) -> str:
-    """Return rows as writematrix writes them."""
-    return "".join(",".join(f"{value:.15g}" for value in row) + "\n" for row in rows)
 
 
 def test_a_motion_to_where_the_arm_is_is_refused(tmp_path):

@@ -52,7 +52,6 @@ def test_nonsense_is_a_usage_error(text, capsys):
         ("plan --joints 1 --configuration front", "--configuration belongs"),
         ("plan --pose 1 2 3 4 5 6 --tool-speed 5", "belongs to --line"),
         ("plan --pose 1 2 3 4 5 6 --line --configuration front", "does not go with --line"),
-        ("plan --joints 1 --columns joints_rad", "--columns belongs to --csv"),
         ("plan --csv a --duration 5", "--duration does not go with --csv"),
         ("arm", "arm needs --responsible NAME"),
         ("arm --responsible=", "arm needs --responsible NAME"),

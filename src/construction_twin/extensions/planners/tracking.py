@@ -17,11 +17,10 @@ REST = 20_000_000
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """A pose with its derivatives: `position` [rad], `velocity` [rad/s], `acceleration` [rad/s^2], each of length n."""
+    """A pose [rad] and its velocity [rad/s], each of length n."""
 
     position: tuple[float, ...]
     velocity: tuple[float, ...]
-    acceleration: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +34,8 @@ class Sample:
     @property
     def error(self) -> Motion:
         """Actual minus desired."""
-        rows = [zip(astuple(self.actual)[row], astuple(self.desired)[row]) for row in range(3)]
-        return Motion(*(tuple(x - y for x, y in row) for row in rows))
+        rows = zip(astuple(self.actual), astuple(self.desired))
+        return Motion(*(tuple(x - y for x, y in zip(actual, desired)) for actual, desired in rows))
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,10 +48,10 @@ class _ArmPose:
 
 
 class Tracking:
-    """Keeps what twin and arm report, and answers with one Sample each time it is asked.
+    """Poses of twin and arm, compared at each `sample`.
 
-    Velocities and accelerations are differences between the moments it was asked at: of 20 ms at 50 Hz, in which one step of a
-    measurement with three decimals of a degree is 0.05 deg/s.
+    Velocities are differences between samples: of 20 ms at 50 Hz, in which one step of a measurement with three decimals of a
+    degree is 0.05 deg/s.
     """
 
     def __init__(self, has_arm: bool):
@@ -63,13 +62,11 @@ class Tracking:
         self._last: Sample | None = None
 
     def on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Take a pose of the twin with the stamp of the command that it executes [ns].
-
-        A stamp that is not newer is of a twin that was started anew: nothing that came before can be compared with it.
-        """
+        """Store a pose of the twin with the stamp of the command that it executes [ns]."""
         latest = self._twin.latest
         if latest == (stamp, q):
             return
+        # of a twin that was started anew: nothing that came before can be compared with it
         if latest is not None and stamp <= latest[0]:
             self._twin, self._arm, self._last, latest = TwinHistory(), None, None, None
         if latest is None or latest[1] != q:
@@ -77,7 +74,7 @@ class Tracking:
         self._twin.add(stamp, q)
 
     def on_arm(self, q: tuple[float, ...], command_stamp: int) -> None:
-        """Take a measured pose, and the stamp of the command that it answers to [ns]; 0: not known."""
+        """Store a measured pose, and the stamp of the command that it answers to [ns]; 0: unknown."""
         latest = self._twin.latest
         self._arm = _ArmPose(q, command_stamp, latest[0] if latest else 0)
 
@@ -104,7 +101,7 @@ class Tracking:
         return stamp - self._still_since >= REST
 
     def sample(self) -> Sample | None:
-        """Return the newest desired and actual motion; None while one of them is not known."""
+        """Return the newest desired and actual motion; None: unknown."""
         latest, arm = self._twin.latest, self._arm if self._has_arm else None
         if latest is None or (self._has_arm and arm is None):
             return None
@@ -118,7 +115,7 @@ class Tracking:
             return last
         if last is None:
             rest = (0.0,) * len(desired)
-            self._last = Sample(stamp, Motion(desired, rest, rest), Motion(actual, rest, rest))
+            self._last = Sample(stamp, Motion(desired, rest), Motion(actual, rest))
         else:
             seconds = (stamp - last.stamp) / NANOSECONDS
             self._last = Sample(stamp, _moved(last.desired, desired, seconds), _moved(last.actual, actual, seconds))
@@ -126,5 +123,4 @@ class Tracking:
 
 
 def _moved(before: Motion, q: tuple[float, ...], seconds: float) -> Motion:
-    velocity = tuple((b - a) / seconds for a, b in zip(before.position, q))
-    return Motion(q, velocity, tuple((b - a) / seconds for a, b in zip(before.velocity, velocity)))
+    return Motion(q, tuple((b - a) / seconds for a, b in zip(before.position, q)))

@@ -323,8 +323,7 @@ class TrajectoryGoals:
         violation: str = Sentence("twin and arm are not known to be at rest")
         if sample is not None:
             # the twin rests at the path's end, and the arm answers to that: what they show is the goal, and how far off it is
-            error = sample.error
-            violation = self.goal.goal.violation(self._robot, error.position, error.velocity, error.acceleration)
+            violation = self.goal.goal.violation(self._robot, sample.error.position)
         if not violation:
             self._on(GoalEvent.AT_GOAL, now)
         elif now - self._since > self.goal.time_tolerance * NANOSECONDS:

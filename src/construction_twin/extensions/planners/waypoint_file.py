@@ -8,10 +8,7 @@ The first line that is neither empty nor a comment (``#`` to the end of the line
 - ``time_s``: optional.
 
 A single line of values is the goal of a straight joint motion from the present pose; its time is how long that takes, 0 s: as
-short as the speed allows.
-
-A file of numbers alone, such as MATLAB's ``writematrix`` writes, has no such line: its reader is told the columns in the same
-words. No unit is ever guessed. Columns are separated by commas, or by semicolons if the first line has one; numbers have a decimal
+short as the speed allows. Columns are separated by commas, or by semicolons if the first line has one; numbers have a decimal
 point.
 """
 
@@ -33,12 +30,8 @@ from construction_twin.robot.trajectory import Trajectory
 
 _FACTORS = {"deg": math.pi / 180.0, "rad": 1.0, "mm": 1e-3, "m": 1.0}
 _COLUMN = re.compile(r"^(?P<joint>.+?)_(?P<unit>deg|rad|mm|m)(?P<rate>_s2?)?$")
-#: Words that stand for a column of every joint, in the robot's order; a prismatic one is in the second unit.
-_ALL_JOINTS = re.compile(r"^joints_(?P<unit>rad|deg)(?P<rate>_s2?)?$")
-_LINEAR_UNITS = {"rad": "m", "deg": "mm"}
 #: Stricter than `float`, which also takes 1_000 and the digits of other scripts.
 _NUMBER = re.compile(r"^[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan|inf)$", re.ASCII | re.IGNORECASE)
-_DECIMAL_COMMA = re.compile(r"^[+-]?\d*,\d+(?:[eE][+-]?\d+)?$", re.ASCII)
 _TIME = "time_s"
 #: Suffixes of the columns of velocities and accelerations.
 _RATES = {"_s": "velocities", "_s2": "accelerations"}
@@ -49,8 +42,8 @@ _Column = tuple[int, str]
 _LARGEST_FILE = 16 * 2**20
 
 
-def read_waypoints(path: str, robot: RobotModel, columns: str = "") -> Waypoints:
-    """Read a CSV file of joint waypoints, whose columns are told if it does not name them; errors as of `parse_waypoints`."""
+def read_waypoints(path: str, robot: RobotModel) -> Waypoints:
+    """Read a CSV file of joint waypoints."""
     if not Path(path).is_absolute():
         raise PlanningError(f"the file is {path!r}; expected an absolute path on the planner's machine")
     try:
@@ -62,40 +55,21 @@ def read_waypoints(path: str, robot: RobotModel, columns: str = "") -> Waypoints
         raise PlanningError(f"{path} cannot be read: it is not text in UTF-8; save it as CSV") from error
     except ValueError as error:  # a null character in the path
         raise PlanningError(f"{path!r} cannot be read: {error}") from error
-    return parse_waypoints(text, robot, columns)
+    return parse_waypoints(text, robot)
 
 
-def parse_waypoints(text: str, robot: RobotModel, columns: str = "") -> Waypoints:
-    """Read the text of a CSV file of waypoints.
-
-    Args:
-        columns: For a file without a line of names: the names of its columns, separated by commas. ``joints_rad`` and
-            ``joints_deg`` stand for a column of every joint in the robot's order (a prismatic joint: in m, in mm), ``joints_rad_s``
-            and ``joints_rad_s2`` for its velocities and accelerations. Empty: the file names them.
-    """
+def parse_waypoints(text: str, robot: RobotModel) -> Waypoints:
+    """Read the text of a CSV file of waypoints."""
     lines = [
         (number, line.split("#", 1)[0].strip()) for number, line in enumerate(text.lstrip("\ufeff").splitlines(), 1)
     ]
     lines = [(number, line) for number, line in lines if line]
     if not lines:
         raise WaypointsError("the file is empty; expected a line of columns, then one line for each waypoint")
-    first_line, first = lines[0]
+    (first_line, first), *lines = lines
     separator = ";" if ";" in first else ","
-    cells = [cell.strip() for cell in first.split(separator)]
-    numbers_alone = all(_NUMBER.match(cell) or _DECIMAL_COMMA.match(cell) for cell in cells)
-    if columns.strip():
-        if not numbers_alone:
-            found = f"line {first_line} begins with {cells[0]!r}; expected numbers alone where columns are told"
-            raise WaypointsError(found, first_line)
-        names = _column_names(columns, robot)
-        found_columns = _checked_columns("columns", None, names, robot)
-    else:
-        if numbers_alone:
-            told = f"a file of numbers alone needs its columns told: --columns {_TIME},joints_rad (or joints_deg)"
-            raise WaypointsError(f"line {first_line}: {len(cells)} numbers; {_expected(robot)}; {told}", first_line)
-        names = cells
-        found_columns = _checked_columns(f"line {first_line}", first_line, names, robot)
-        lines = lines[1:]
+    names = [cell.strip() for cell in first.split(separator)]
+    found_columns = _checked_columns(first_line, names, robot)
     values = np.array([_numbers(number, line, separator, names) for number, line in lines])
     values = values.reshape(len(lines), len(names))
     times = values[:, found_columns[_TIME, ""][0]] if (_TIME, "") in found_columns else None
@@ -123,11 +97,9 @@ def parse_waypoints(text: str, robot: RobotModel, columns: str = "") -> Waypoint
 def format_waypoints(
     trajectory: Trajectory, linear: Iterable[bool], comments: Iterable[str] = (), degrees: bool = False
 ) -> str:
-    """Return a trajectory as a CSV file, times, positions, velocities and accelerations, that `parse_waypoints` reads.
+    """Return a trajectory as a CSV file in rad and m, or in deg and mm, that `parse_waypoints` reads.
 
     Numbers are the shortest decimals that give the same 64 bit value again: read back, a file in rad has the trajectory's hash.
-
-    `degrees`: In deg and mm, exact to the last digit or two; otherwise in rad and m.
     """
     units = [("mm" if is_linear else "deg") if degrees else ("m" if is_linear else "rad") for is_linear in linear]
     names = [_TIME]
@@ -142,7 +114,7 @@ def format_waypoints(
 
 
 def format_plan(plan: Plan, linear: Iterable[bool], degrees: bool = False) -> str:
-    """Return a plan as a CSV file; comments before the names say which plan it was. See `format_waypoints`."""
+    """Return a plan as a CSV file; comments before the names say which plan it was."""
     comments = [f"plan {plan.id} for {plan.source}, made by {plan.planner}", f"hash {plan.hash}", f"scene {plan.scene}"]
     if plan.segments:
         comments.append(f"task {plan.task}, the path alone: of its segments the file has no switch and no scene")
@@ -150,26 +122,9 @@ def format_plan(plan: Plan, linear: Iterable[bool], degrees: bool = False) -> st
     return format_waypoints(plan.trajectory, linear, comments, degrees)
 
 
-def _column_names(columns: str, robot: RobotModel) -> list[str]:
-    """Return the names of columns, with those of every joint in the place of the words that stand for them."""
-    names: list[str] = []
-    for word in (part.strip() for part in columns.split(",")):
-        match = _ALL_JOINTS.match(word)
-        if match is None or "joints" in robot.joint_names:
-            names.append(word)
-            continue
-        angle, rate = match["unit"], match["rate"] or ""
-        names += [
-            f"{name}_{_LINEAR_UNITS[angle] if linear else angle}{rate}"
-            for name, linear in zip(robot.joint_names, robot.linear)
-        ]
-    return names
-
-
-def _checked_columns(
-    place: str, line: int | None, names: list[str], robot: RobotModel
-) -> dict[tuple[str, str], _Column]:
+def _checked_columns(line: int, names: list[str], robot: RobotModel) -> dict[tuple[str, str], _Column]:
     """Return the column of each joint and rate, "" for its position; the time's is that of `_TIME`."""
+    place = f"line {line}"
     columns: dict[tuple[str, str], _Column] = {}
     for index, name in enumerate(names):
         match = _COLUMN.match(name)
@@ -211,18 +166,16 @@ def _expected(robot: RobotModel) -> str:
 def _numbers(line: int, text: str, separator: str, columns: list[str]) -> list[float]:
     cells = text.split(separator)
     if len(cells) != len(columns):
-        found = f"line {line}: {len(cells)} values; expected {len(columns)}, one for each column"
-        if len(cells) == 1 and len(text.split()) > 1:
-            found = f"{found}; they are separated by blanks or tabs, expected commas or semicolons"
-        elif len(cells) > len(columns) and separator == "," and "." not in text:
-            found = f"{found}; if this is a decimal comma, write a decimal point"
+        found = (
+            f"line {line}: {len(cells)} values between {separator!r}; expected {len(columns)}, one for each column, "
+            "with decimal points"
+        )
         raise WaypointsError(found, line, "", len(cells))
     numbers = []
     for name, cell in zip(columns, map(str.strip, cells)):
         if not _NUMBER.match(cell):
             match = _COLUMN.match(name)
-            comma = " with a decimal comma" if _DECIMAL_COMMA.match(cell) else ""
-            found = f"line {line}: {name} is {cell!r}{comma}; expected a number with a decimal point"
+            found = f"line {line}: {name} is {cell!r}; expected a number with a decimal point"
             raise WaypointsError(found, line, match["joint"] if match else "", cell)
         numbers.append(float(cell))
     return numbers

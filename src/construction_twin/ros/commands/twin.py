@@ -61,7 +61,7 @@ class Command:
         options = self._options
         goal: dict[str, Any]
         if options.csv is not None:
-            kind, goal = "csv", {"path": str(Path(options.csv).absolute()), "columns": options.columns}
+            kind, goal = "csv", {"path": str(Path(options.csv).absolute())}
         elif options.joints is not None:
             kind, goal = "joints", {"joints": joint_goal(options.joints, self._robot())}
         else:
@@ -179,25 +179,9 @@ class Command:
         return Exit.DONE
 
     def _scene(self) -> Exit:
-        """Show the scene that stands now, or write it as a planning scene of MoveIt."""
+        """Show the scene that stands now."""
         silent = "the scene node does not publish", "see why it is down"
-        scene, file = scene_from_msg(self._client.latched("scene", Scene, *silent)), self._options.moveit
-        if file is None:
-            print("\n".join(scene_lines(scene)))
-            return Exit.DONE
-        from construction_twin.robot.urdf import parse_urdf
-        from construction_twin.scene.collision_bodies import RobotBodies
-        from construction_twin.scene.self_collision import SelfCollision
-
-        bodies = RobotBodies(self._robot())
-        planners = import_extension("planners.planner_scene")
-        planning_scene = planners.planner_scene(bodies, scene, SelfCollision({}, ""))
-        text, remarks = planners.scene_text(planning_scene, f"{self._options.robot} {scene.hash[:12]}")
-        for remark in remarks:
-            print(f"twin: {remark}", file=sys.stderr)
-        if write_or_print(file, text):
-            objects = sum(not item.link for item in scene.objects)
-            print(f"{Path(file).absolute()}: {objects} objects, in {parse_urdf(bodies.robot.urdf).get_root()}")
+        print("\n".join(scene_lines(scene_from_msg(self._client.latched("scene", Scene, *silent)))))
         return Exit.DONE
 
     def _rehearsal(self) -> Exit:

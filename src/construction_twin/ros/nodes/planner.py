@@ -218,8 +218,7 @@ class PlannerNode:
                 return trajectory_waypoints(request.trajectory, self._robot)
             if request.trajectory.points:
                 raise PlanningError("both a trajectory and the path of a file are given; expected one of them")
-            file = import_extension("planners.waypoint_file")
-            return file.read_waypoints(request.path, self._robot, request.columns)
+            return import_extension("planners.waypoint_file").read_waypoints(request.path, self._robot)
 
         return self._through(asked, read, request.retime)
 

@@ -191,7 +191,7 @@ class SceneNode:
 
     def _for_moveit(self, publisher: AnyPublisher | None) -> Any:
         if publisher is None:
-            rospy.loginfo("planning_scene is not published without moveit_msgs; `twin scene --moveit` writes a file")
+            rospy.loginfo("planning_scene is not published without moveit_msgs")
             return None
         try:
             moveit = import_extension("planners.nodes.planning_scene")

@@ -166,7 +166,7 @@ class ConsoleRequests:
             source=source_of(asked.source, request.account, self._connection.proves_accounts),
         )
         outcome = Outcome.of(answer)
-        return replace(outcome, fields={**outcome.fields, "notes": [*asked.notes, *_timing_notes(asked, answer)]})
+        return replace(outcome, fields={**outcome.fields, "notes": _timing_notes(asked, answer)})
 
     # -- plan requests
 
