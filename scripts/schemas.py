@@ -22,7 +22,6 @@ from construction_twin.extensions.console.status_line import Line
 from construction_twin.mqtt.requests import (
     ACKNOWLEDGE,
     ANSWER,
-    IK,
     PLAN_REQUEST,
     RAISE_SPEED,
     REVIEW,
@@ -45,7 +44,6 @@ CHECKED: dict[str, Any] = {
     "REVIEW_ACK": REVIEW,
     "STOP_ACK": STOP,
     "PLAN_REQUEST_ACK": PLAN_REQUEST,
-    "IK_ACK": IK,
     "ANSWER_ACK": ANSWER,
     "ACKNOWLEDGE_ACK": ACKNOWLEDGE,
     "SPEED_ACK": RAISE_SPEED,

@@ -24,7 +24,7 @@ from compas_fab.robots import JointTrajectory, JointTrajectoryPoint
 from compas_robots import Configuration
 
 #: The version of `view` that is read here; a later one says in `compatible` whether its readers can read it too.
-VIEW_VERSION = 1
+VIEW_VERSION = 8
 #: A view that is older is not shown as the present [s].
 FRESH = 1.0
 #: An answer comes in a few seconds, or not at all [s].

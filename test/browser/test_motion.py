@@ -103,20 +103,11 @@ def test_a_goal_of_the_tool_is_typed_and_asked_for(page_of, robot):
     assert [field.input_value() for field in fields.all()][:3] == begin
     height = float(begin[2]) - 150.0
     page.page.get_by_label("Z [mm]").fill(f"{height:.1f}".replace(".", ","))
-    page.page.get_by_role("button", name="Take as goal").click()
-    expect(page.page.locator(".plan-reach")).to_contain_text("The arm gets there and touches nothing.")
-    page.page.locator("#plan .plan-ask").click()
-    expect(page.page.locator("#plan .plan-answer")).to_contain_text("There is a plan")
+    page.page.get_by_role("button", name="Ask for a motion of the tool to there").click()
+    expect(page.page.locator("#plan .plan-answer")).to_contain_text("this robot of a test plans no pose")
     (request,) = robot.payloads("plan_request/pia")
-    found = robot.tool(list(request["joints"].values()))
-    assert np.allclose(found, [*robot.tool(robot.twin)[:2], height / 1000], atol=1e-3)
+    assert request["kind"] == "pose" and np.allclose(request["position"], [*robot.tool(robot.twin)[:2], height / 1000])
     assert robot.state == "IDLE"
-    # what no arm reaches is said, and cannot be asked for
-    page.tab("plan")
-    fields.first.fill("90000")
-    fields.first.press("Enter")
-    expect(page.page.locator(".plan-reach")).to_contain_text("The arm does not get there.")
-    expect(page.page.locator("#plan .plan-ask")).to_be_disabled()
 
 
 def test_everybody_can_use_them_and_nothing_is_wider_than_the_screen(page_of, robot):

@@ -79,24 +79,6 @@ def wait_uploaded(page: ConsolePage, vertices: list[float], tolerance: float) ->
     )
 
 
-def drag_tool(page: ConsolePage, robot: str, way: float) -> None:
-    """Drag the handle of the tool by its own z axis over the picture, by `way` times a quarter of a metre."""
-    box = page.page.locator(".overlay", has=page.page.get_by_text(robot, exact=True)).bounding_box()
-    assert box is not None
-    handle = page.drawn(robot)["handle"]
-    width, height = box["width"], box["height"]
-    begin = [
-        box[corner] + size * (at + along)
-        for corner, size, at, along in zip(("x", "y"), (width, height), handle["screen"], handle["axis"])
-    ]
-    end = [at + size * along * way for at, size, along in zip(begin, (width, height), handle["axis"])]
-    # the arrow wants to be pointed at before it is gripped, as a mouse does
-    page.page.mouse.move(*begin)
-    page.page.mouse.down()
-    page.page.mouse.move(*end, steps=8)
-    page.page.mouse.up()
-
-
 def test_the_robot_is_really_drawn_and_moves_on_the_screen(seen, robot):
     seen.wait_frame()
     before = pixels(seen)
@@ -250,25 +232,14 @@ def test_two_robots_are_shown_at_once_and_each_is_its_own(tmp_path, browser):
         page.close()
 
 
-def test_the_tool_is_dragged_to_a_goal_and_the_planner_is_asked_for_the_way(page_of, robot):
-    """From the picture to the plan and back: handle, questions for joint values, ghost, request, path."""
+def test_a_goal_is_set_by_a_slider_and_the_planner_is_asked_for_the_way(page_of, robot):
+    """From the panel to the plan and back: ghost, request, path."""
     page = page_of("pia", picture=True, size=SMALL)
-    page.wait_drawn("one")
+    begin = page.wait_drawn("one")["twin"]["tool"]
     page.tab("plan").locator(".plan-begin").click()
-    begin = np.array(page.wait_drawn("one", "it.handle !== null")["handle"]["position"])
-    assert np.allclose(begin, robot.tool(robot.twin), atol=_FINE)
-    # what has not been drawn yet cannot be taken
-    page.wait_frame()
-    drag_tool(page, "one", 1.5)
-    expect(page.page.locator(".plan-reach")).to_contain_text("The arm gets there and touches nothing.")
-    expect(page.page.locator("#plan .plan-ask")).to_be_enabled()
-    drawn = page.wait_drawn("one")
-    end = np.array(drawn["handle"]["position"])
-    # at home the tool's z axis points down
-    assert np.linalg.norm(end - begin) > 0.1 and np.allclose(end[:2], begin[:2], atol=1e-3)
-    assert np.allclose(drawn["goal"]["tool"], end, atol=1e-3)
-    questions = [asked for asked in robot.payloads("ik/pia") if "seed" in asked]
-    assert np.allclose(questions[-1]["position"], end, atol=_FINE)
+    page.page.locator("#plan .plan-joint input[type=text]").first.fill("30")
+    page.page.locator("#plan .plan-joint input[type=text]").first.press("Enter")
+    end = np.array(page.wait_drawn("one", "it.goal.joints !== null && it.goal.joints.joint_a1 > 0.5")["goal"]["tool"])
     page.page.locator("#plan .plan-ask").click()
     expect(page.page.locator("#plan .plan-answer")).to_contain_text("There is a plan")
     (request,) = robot.payloads("plan_request/pia")
@@ -309,10 +280,7 @@ def test_the_legend_has_what_is_drawn_in_its_colours(seen, robot):
     )
     expect(seen.page.locator(".legend-path")).to_have_count(1)
     expect(seen.page.locator(".legend-arm")).to_have_count(1)
-    assert (
-        legend()["legend-arm"] == f"#{drawn['armColour']:06x}"
-        and legend()["legend-goal"] == f"#{drawn['goalColour']:06x}"
-    )
+    assert legend()["legend-arm"] == f"#{drawn['armColour']:06x}" and legend()["legend-goal"] == "#0e9aa7"
     # the closest point is the plan's, with its distance in words and in the picture
     expect(seen.page.locator(".legend-closest")).to_contain_text("213 mm after 1.0 s (link_4 - table)")
     assert "213 mm" in seen.drawn("one")["words"]

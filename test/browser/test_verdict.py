@@ -200,7 +200,6 @@ def test_each_account_may_do_what_the_broker_lets_it_do_and_is_told_the_rest(pag
     assert bool(robot.payloads("stop")) == bool(robot.payloads("plan_request")) == may_act
     assert not robot.payloads("review")
     # nothing is tried to find out a right
-    assert not robot.payloads("ik")
 
 
 def test_of_two_tablets_that_approve_at_once_one_wins_and_the_other_is_told(page_of, robot):

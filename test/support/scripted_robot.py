@@ -29,17 +29,14 @@ from construction_twin.extensions.console.remote_review import (
     UseView,
 )
 from construction_twin.extensions.console.remote_view import (
-    ClosestView,
     FreshReport,
     PoseView,
     ViewInputs,
     ViewWriter,
 )
-from construction_twin.kinematics.chain import Chain, Pose
-from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
+from construction_twin.kinematics.chain import Chain
 from construction_twin.link.requests import (
     ButtonPress,
-    IkRequest,
     Joints,
     LowerSpeed,
     Override,
@@ -57,8 +54,6 @@ from construction_twin.mqtt.messages import Topics
 from construction_twin.mqtt.requests import EXECUTOR, GATEWAY, RequestKind
 from construction_twin.review.rehearsal_report import RehearsalReport
 from construction_twin.robot.description import RobotModel, read_robot_files
-from construction_twin.robot.frames import quaternion_to_rotation
-from construction_twin.robot.motion_errors import KinematicsError
 from construction_twin.robot.trajectory import Trajectory, whole_nanoseconds
 
 XACRO, CONFIG = ROOT / "urdf/kr120r2500.urdf.xacro", ROOT / "config/kr120.yaml"
@@ -138,7 +133,6 @@ class ScriptedRobot:
         self.delay = 0.0
         self.speed_limits = SpeedLimits(SpeedLimit(0.5), NOBODY, present_moment())
         self._chain = Chain(self.robot)
-        self._inverse = inverse_kinematics(self._chain, IkSettings(), np.random.default_rng(0), time.monotonic)
         self._names = tuple(self.robot.joint_names)
         self._joints = joints_of(self.robot)
         self._topics = Topics(prefix, name)
@@ -247,7 +241,6 @@ class ScriptedRobot:
                     0.0,
                 ),
                 plan="" if self.plan is None else self.plan.id,
-                closest=ClosestView(0.31, ("link_4", "table"), tuple(self.tool(self.twin)), 0.0),
                 progress=progress,
                 speed=self.speed_limits.state_report(time.monotonic_ns()),
             )
@@ -352,7 +345,6 @@ class ScriptedRobot:
         asked += [
             self._root + "override_rehearsal/+",
             self._root + "plan_request/+",
-            self._root + "ik/+",
             self._root + "lower_speed/+",
             self._root + "raise_speed/+",
         ]
@@ -374,7 +366,7 @@ class ScriptedRobot:
         self.heard.append((below, payload))
         answer: dict[str, Callable[[str, bytes, bool], None]] = {
             "review": self._on_review, "override_rehearsal": self._on_override,
-            "plan_request": self._on_plan_request, "ik": self._on_ik,
+            "plan_request": self._on_plan_request,
             "lower_speed": partial(self._on_speed, requests.LOWER_SPEED),
             "raise_speed": partial(self._on_speed, requests.RAISE_SPEED),
         }  # fmt: skip
@@ -476,19 +468,3 @@ class ScriptedRobot:
         """Return why what repeats a moment is void, as if it had lain on its way for `delay`."""
         now = present_moment()
         return staleness(parse_moment(moment), Moment(now.origin, now.at + round(self.delay * 1e9)))
-
-    def _on_ik(self, account: str, payload: bytes, retained: bool) -> None:
-        try:
-            asked = read_message(IkRequest, requests.IK, payload, retained)
-            seed = self._joints.in_order(asked.seed, "seed") if asked.seed else self.twin
-        except PayloadError as error:
-            self._answer(requests.IK, account, False, sentence=str(error))
-            return
-        try:
-            pose = Pose(np.array(asked.position), quaternion_to_rotation(asked.orientation))
-            found = self._inverse.nearest(pose, np.array(seed))
-        except KinematicsError as error:
-            self._answer(requests.IK, account, False, id=asked.id, reach="out", sentence=str(error))
-            return
-        joints = dict(zip(self._names, found.q.tolist()))
-        self._answer(requests.IK, account, True, id=asked.id, reach="free", joints=joints, sentence="reached")

@@ -104,9 +104,7 @@ export function makeConnection(store, {url, prefix, keep = () => {}, connect = m
   }
 
   function subscribe(mine) {
-    const topics = TOPICS.map(({topic, qos}) => [`${prefix}/+/${topic}`, {qos}]);
-    topics.push([`${prefix}/+/${own("ik/ack")}`, {qos: 0}]);
-    mine.subscribe(Object.fromEntries(topics), (error) => {
+    mine.subscribe(Object.fromEntries(TOPICS.map(({topic, qos}) => [`${prefix}/+/${topic}`, {qos}])), (error) => {
       if (client !== mine) return;
       // a broker may refuse some: what the account may not read stays unknown, and the rest is shown
       if (error && !(error.code >= 128)) {

@@ -5,7 +5,7 @@
  * value is of no robot. An exception of one listener ends nothing but that call: the others are told, and it is `failed`.
  *
  * Kinds from the broker: view, screen, scene, plan, rehearsal, path, tasks, messages, and answers: review_ack, stop_ack, pause_ack, reset_ack,
- * arm_ack, speed_ack, answer_ack, acknowledge_ack, plan_request_ack, ik_ack. A value of null means: not known (any more).
+ * arm_ack, speed_ack, answer_ack, acknowledge_ack, plan_request_ack. A value of null means: not known (any more).
  * `path` is where the tool goes by the plan that is played. `plan` is told once its hash was checked (plan_hash.js); a plan whose hash does not fit
  * has `refused`, a word of plan_hash.js, and nothing of it may be shown or approved.
  *
@@ -23,19 +23,16 @@
  *                picture, nothing can be seen in it ever (picture)
  *   acted        {topic}: this page publishes on the topic: stop, pause, review, plan_request, ... (connection)
  *   looked       {what, hash}: the plan of this hash was "shown" (again and again), "played" to its end (playback panel); told once
- *   goal         {names, positions, reach} or null: the pose that is asked for, shown as a goal ghost; `reach` free, contact, out or
- *                unknown (plan panel)
- *   handle       {position, quaternion} or null: the handle by which the tool is dragged; null: none is shown (plan panel)
+ *   goal         {names, positions} or null: the pose that is asked for, shown as a goal ghost (plan panel)
  *   picked       {element} or null: the element of the building model that is worked on, highlighted (tasks panel)
  *   model        the joints' limits and the tool's place, or {trouble}: why they are not known (planning/model.js)
- *   drag         {position, quaternion, done}: the person drags the handle; x y z [m] of tool0 in base_link, x y z w (picture)
  *   tap          {element, object}: an element of the building model or an object of the scene was tapped, else "" (picture)
  *
  * Times are milliseconds of one monotonic clock of this browser; a stamp of another computer is never compared with it.
  */
 import {check} from "./check.js";
 import {checkPlan} from "./plan_hash.js";
-import {ACKNOWLEDGE_ACK, ANSWER_ACK, IK_ACK, MESSAGES, PATH, PLAN, PLAN_REQUEST_ACK, REHEARSAL, REVIEW_ACK, SCENE, SCREEN, SPEED_ACK, STOP_ACK, VIEW, WORK} from "./schemas.js";
+import {ACKNOWLEDGE_ACK, ANSWER_ACK, MESSAGES, PATH, PLAN, PLAN_REQUEST_ACK, REHEARSAL, REVIEW_ACK, SCENE, SCREEN, SPEED_ACK, STOP_ACK, VIEW, WORK} from "./schemas.js";
 
 /** A view is old after so long [ms]. */
 const OLD_AFTER = 1000;
@@ -48,19 +45,19 @@ const KINDS = {
   "stop/ack": "stop_ack", "pause/ack": "pause_ack", "plan_request/ack": "plan_request_ack", "messages": "messages",
   "reset/ack": "reset_ack", "arm/ack": "arm_ack", "answer/ack": "answer_ack", "acknowledge/ack": "acknowledge_ack", "speed/ack": "speed_ack",
 };
-/** Topics below `<prefix>/+/` that the page reads, with their quality of service. `ik/ack/<account>` comes on top. */
+/** Topics below `<prefix>/+/` that the page reads, with their quality of service. */
 export const TOPICS = Object.keys(KINDS).map((topic) => ({topic, qos: topic === "view" ? 0 : 1}));
 /** Who may answer what is pressed: a stop has an answer of two. */
 const BY = ["gateway", "executor", "bridge"];
 /** Kinds whose newest value is kept. An answer is told once. */
 const FROM_BROKER = ["view", "screen", "scene", "plan", "rehearsal", "path", "tasks", "messages"];
-const KEPT = [...FROM_BROKER, "playback", "goal", "handle", "picked", "drawn", "said", "model"];
+const KEPT = [...FROM_BROKER, "playback", "goal", "picked", "drawn", "said", "model"];
 /** What the broker stores; without a value: there is none any more. Of anything else that it has stored the age is not known. */
 const STORED = ["plan", "rehearsal", "path", "scene", "tasks", "messages"];
 /** What a message must be, but a view: of that by its version. */
 const SCHEMAS = {
   screen: SCREEN, scene: SCENE, plan: PLAN, rehearsal: REHEARSAL, path: PATH, tasks: WORK,
-  review_ack: REVIEW_ACK, stop_ack: STOP_ACK, pause_ack: STOP_ACK, plan_request_ack: PLAN_REQUEST_ACK, ik_ack: IK_ACK,
+  review_ack: REVIEW_ACK, stop_ack: STOP_ACK, pause_ack: STOP_ACK, plan_request_ack: PLAN_REQUEST_ACK,
   messages: MESSAGES, reset_ack: STOP_ACK, arm_ack: STOP_ACK, answer_ack: ANSWER_ACK, acknowledge_ack: ACKNOWLEDGE_ACK, speed_ack: SPEED_ACK,
 };
 
@@ -196,7 +193,7 @@ export function makeStore({
     },
 
     /**
-     * What is known of a robot: view, screen, scene, plan, rehearsal, path, tasks, messages, playback, goal, handle,
+     * What is known of a robot: view, screen, scene, plan, rehearsal, path, tasks, messages, playback, goal,
      * picked, drawn, said, model (null: not known), `old` (the view is not the present), `heard` [ms] per kind. Null
      * for a robot that was never heard.
      */
@@ -243,7 +240,7 @@ export function makeStore({
       tell("selected", name, name);
     },
 
-    /** Set what a panel tells the others: playback, goal, handle, picked, drawn (kept); drag, tap (told once). */
+    /** Set what a panel tells the others: playback, goal, picked, drawn (kept); tap (told once). */
     set(kind, name, value) {
       const robot = robots.get(name);
       if (robot === undefined) return;
@@ -278,7 +275,7 @@ export function makeStore({
      * @returns {Promise<void>} resolved when it was taken or refused; a plan's hash takes a moment
      */
     async take(name, topic, text, retained = false) {
-      const kind = KINDS[topic] ?? (topic.startsWith("ik/ack/") ? "ik_ack" : undefined);
+      const kind = KINDS[topic];
       if (kind === undefined || !robots.has(name) && robots.size >= MOST_ROBOTS) return;
       if (retained && !STORED.includes(kind)) return;
       const robot = record(name);

@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import {mock, test} from "node:test";
 import {makeCell} from "../src/picture/cell.js";
-import {AHEAD, BY_REACH, BY_TASK, GOAL, TRAVELLED} from "../src/picture/colours.js";
+import {AHEAD, BY_TASK, GOAL, TRAVELLED} from "../src/picture/colours.js";
 import {fakePage, plan, view, work} from "./support/fake.js";
 
 /** A cell whose files the test answers: `answers` by the end of the path, a status or a text; `asked` holds the paths. */
@@ -139,36 +139,27 @@ test("OBJ and GLB meshes are drawn, and one that cannot be read costs that link 
 
 const NAMES = ["joint_a1", "joint_a2"];
 const TELLS = {
-  goal: (it, reach) => it.store.set("goal", "kr120", {names: NAMES, positions: [0.5, 0.5], reach}),
-  handle: (it) => it.store.set("handle", "kr120", {position: [1, 0.2, 1], quaternion: [0, 0, 0, 1]}),
+  goal: (it) => it.store.set("goal", "kr120", {names: NAMES, positions: [0.5, 0.5]}),
   plan: (it) => it.hear("kr120", "plan", plan({joints: NAMES, goal: [1, 0], start: [0, 0], tool_path: [[2, 0, 1], [2, 0.2, 1]],
     trajectory: {times: [0, 1], positions: [[0, 0], [1, 0]], velocities: [[0, 0], [0, 0]], accelerations: [[0, 0], [0, 0]]}}), true),
   view: (it) => it.hear("kr120", "view", view({twin: {stamp: 1, age: 0, positions: [0.1, 0]}, arm: null})),
 };
 const orders = (rest) => (rest.length < 2 ? [rest] : rest.flatMap((one) => orders(rest.filter((each) => each !== one)).map((more) => [one, ...more])));
 
-test("a goal has the colour of its reach, whatever is told first: goal, handle, plan or view, before the model or after it", async () => {
+test("the goal of a person is drawn in place of the plan's, whatever is told first, before the model or after it", async () => {
   for (const order of orders(Object.keys(TELLS))) {
-    for (const [reach, colour] of Object.entries(BY_REACH)) {
-      const tell = async (cellOf, kinds) => {
-        for (const what of kinds) await TELLS[what](cellOf, reach);
-      };
-      // some before the model is there
-      const early = order.indexOf("view");
-      const it = await robotCell({}, async (cellOf) => {
-        await cellOf.hear("kr120", "work/tasks", null, true);
-        await tell(cellOf, order.slice(0, early));
-      });
-      await tell(it, order.slice(early));
-      const found = it.made.inspect();
-      assert.deepEqual([found.goalColour, found.reach, found.handle.position], [colour, colour, [1, 0.2, 1]], `${order} ${reach}`);
-      assert.deepEqual(it.made.drawn().goal, {colour, reach});
-      assert.deepEqual(found.reachAt, [1, 0.2, 1], `${order}: the ball is where the hand is`);
-      // without a goal of a person it is the plan's again
-      it.store.set("handle", "kr120", null);
-      it.store.set("goal", "kr120", null);
-      assert.deepEqual([it.made.inspect().goalColour, it.made.inspect().reach], [GOAL, null]);
-    }
+    const tell = async (cellOf, kinds) => {
+      for (const what of kinds) await TELLS[what](cellOf);
+    };
+    const early = order.indexOf("view");
+    const it = await robotCell({}, async (cellOf) => {
+      await cellOf.hear("kr120", "work/tasks", null, true);
+      await tell(cellOf, order.slice(0, early));
+    });
+    await tell(it, order.slice(early));
+    assert.deepEqual([it.made.inspect().goal.joints.joint_a1, it.made.drawn().goal], [0.5, GOAL], `${order}`);
+    it.store.set("goal", "kr120", null);
+    assert.equal(it.made.inspect().goal.joints.joint_a1, 1);
   }
 });
 
@@ -228,25 +219,13 @@ test("the camera is fitted to arm, scene and plan, until a person moves it; a pr
   assert.ok(await projected(it, [2.1, 0.5, 1]) <= 1);
 });
 
-test("while a goal is dragged the camera stays", async () => {
+test("the closest point is the plan's, with its distance in the picture", async () => {
   const it = await robotCell();
-  TELLS.handle(it);
-  const {camera} = it.made.inspect();
-  await it.hear("kr120", "scene", wall(-2.1), true);
-  await TELLS.plan(it);
-  assert.deepEqual(it.made.inspect().camera, camera);
-});
-
-test("the closest point is the plan's while a plan is under review, with its distance in the picture", async () => {
-  const it = await robotCell();
-  await it.hear("kr120", "view", view({closest: {distance: 0.4, between: ["lower", "wall"], point: [1, 0, 1], age: 0}}));
-  assert.equal(it.made.inspect().closest.distance, 0.4);
-  assert.ok(it.made.labels(800, 500).some(({text}) => text === "400 mm"));
   await it.hear("kr120", "plan", plan({clearance: {distance: 0.2, time: 0.5, between: ["lower", "wall"], point: [1, 0, 1]}}), true);
   assert.deepEqual([it.made.inspect().closest.distance, it.made.inspect().closest.time], [0.2, 0.5]);
   assert.ok(it.made.labels(800, 500).some(({text}) => text === "200 mm"));
   await it.hear("kr120", "plan", null, true);
-  assert.equal(it.made.inspect().closest.distance, 0.4);
+  assert.equal(it.made.inspect().closest, null);
 });
 
 test("a path has a dot at each waypoint", async () => {

@@ -67,7 +67,7 @@ test("each key of a view is asked for and of its type: none is shown that the ro
     for (const name of schema.required) {
       const at = [...path, name];
       for (const bad of [undefined, Symbol.for("no JSON")]) {
-        const whole = structuredClone(view({closest: {distance: 1, between: ["a", "b"], point: [0, 0, 0], age: 0}, hold: {cause: "a", since: 1}, speed: SPEED}));
+        const whole = structuredClone(view({hold: {cause: "a", since: 1}, speed: SPEED}));
         whole.expected = {stamp: 1, age: 0, positions: [0.1, -1.5]};
         whole.execution.segment = {number: 0, name: "a", at_boundary: false};
         whole.link.controller = {mode: "T1", program: "ACTIVE", override_percent: 100};

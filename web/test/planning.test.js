@@ -2,8 +2,6 @@ import assert from "node:assert/strict";
 import {readFileSync} from "node:fs";
 import {test} from "node:test";
 import {showAsking} from "../src/planning/asking.js";
-import {Goal} from "../src/planning/goal.js";
-import {IkFollower, LOST_S, PERIOD_S} from "../src/planning/ik_follower.js";
 import {ends, fromShown, shown, typed} from "../src/planning/joints.js";
 import {modelOf} from "../src/planning/model.js";
 import {MOST, Poses, read} from "../src/planning/poses.js";
@@ -74,113 +72,6 @@ test("a typed number counts inside the limits only, with point or comma", () => 
   assert.equal(typed(b, "1500"), 1.5);
   assert.equal(typed(a, "−10"), typed(a, "-10"));
   for (const text of ["", "180", "1e1", "0x10", "ten", "1.2.3", "Infinity", "."]) assert.equal(typed(a, text), null, text);
-});
-
-// -- the goal
-
-test("a goal takes complete values inside the limits and nothing else", () => {
-  const goal = new Goal(JOINTS);
-  assert.equal(goal.isAskable, false);
-  for (const wrong of [{a: 0}, {a: 3, b: 0}, {a: NaN, b: 0}, {a: "0", b: 0}]) assert.equal(goal.setJoints(wrong), false);
-  assert.equal(goal.values, null);
-  assert.equal(goal.setJoints({a: 0, b: 1, more: 5}), true);
-  assert.deepEqual(goal.values, {a: 0, b: 1});
-  assert.equal(goal.isAskable, true);
-  assert.equal(goal.setJoints({a: 9, b: 1}), false);
-  assert.deepEqual(goal.values, {a: 0, b: 1});
-});
-
-test("where the arm does not get nothing can be asked for, and the last joint values stay to be seen", () => {
-  const goal = new Goal(JOINTS);
-  goal.setJoints({a: 0, b: 1});
-  goal.setAnswer(pose(1), {reach: "free", joints: {a: 0.5, b: 2}, sentence: ""});
-  assert.deepEqual(goal.values, {a: 0.5, b: 2});
-  assert.equal(goal.isAskable, true);
-  goal.setAnswer(pose(9), {reach: "out", joints: null, sentence: "out of reach by 3 m"});
-  assert.deepEqual([goal.values, goal.reach, goal.isAskable], [{a: 0.5, b: 2}, "out", false]);
-  // an answer that contradicts itself, or is of another robot
-  goal.setAnswer(pose(1), {reach: "free", joints: {a: 7, b: 2}, sentence: ""});
-  assert.deepEqual([goal.reach, goal.isAskable], ["unknown", false]);
-  // words that this page does not know, also such as every object has
-  for (const reach of ["near_singular", "constructor", 3, undefined]) {
-    goal.setAnswer(pose(1), {reach, joints: {a: 0.5, b: 2}, sentence: {}});
-    assert.deepEqual([goal.reach, goal.sentence, goal.isAskable], ["unknown", "", false]);
-  }
-  goal.setJoints({a: 0.1, b: 2});
-  assert.deepEqual([goal.pose, goal.isAskable], [null, true]);
-});
-
-// -- dragging
-
-test("of many moves the newest is asked for, at most 15 in a second", () => {
-  const follower = new IkFollower("run");
-  const asked = [];
-  for (let at = 0; at < 10; at += 0.005) {
-    follower.drag(pose(at));
-    const question = follower.take(at, null);
-    if (question === null) continue;
-    asked.push([at, question.position[0]]);
-    follower.answer({id: question.id, reach: "free", joints: {}});
-  }
-  assert.ok(asked.length <= 150 && asked.length > 110, `${asked.length}`);
-  for (const [at, x] of asked) assert.equal(x, at);
-  for (let number = 15; number < asked.length; number += 1) assert.ok(asked[number][0] - asked[number - 15][0] > 1);
-});
-
-test("the last move is asked for once it may be", () => {
-  const follower = new IkFollower("run");
-  follower.drag(pose(1));
-  const first = follower.take(0, {a: 1});
-  assert.deepEqual(first, {id: "run-1", ...pose(1), seed: {a: 1}});
-  follower.drag(pose(2));
-  assert.equal(follower.take(0.01, null), null);
-  const wait = follower.wait(0.01);
-  assert.ok(wait > 0 && wait < PERIOD_S);
-  assert.equal(follower.take(0.01 + wait, null).position[0], 2);
-  assert.equal(follower.wait(1), null);
-});
-
-test("a planner that does not answer is asked no more than twice, until a question counts as lost", () => {
-  const follower = new IkFollower("run");
-  let asked = 0;
-  for (let at = 0; at < LOST_S; at += 0.02) {
-    follower.drag(pose(at));
-    if (follower.take(at, null) !== null) asked += 1;
-  }
-  assert.equal(asked, 2);
-  assert.notEqual(follower.take(LOST_S + 0.01, null), null);
-});
-
-test("answers count by their id: none of another's, none that is older than the last", () => {
-  const follower = new IkFollower("run");
-  follower.drag(pose(1));
-  follower.take(0, null);
-  follower.drag(pose(2));
-  follower.take(1, null);
-  for (const id of ["other-1", "run-3", "run-", "run-1.0", "run-0", "run-1e0", 1, undefined, "run-x-1"]) {
-    assert.equal(follower.answer({id}), null, String(id));
-  }
-  assert.equal(follower.settled, false);
-  assert.notEqual(follower.answer({id: "run-2"}), null);
-  assert.equal(follower.answer({id: "run-1"}), null);
-  assert.equal(follower.answer({id: "run-2"}), null);
-  assert.equal(follower.settled, true);
-});
-
-test("after the drag was dropped, what was asked before counts no more", () => {
-  const follower = new IkFollower("run");
-  follower.drag(pose(1));
-  follower.take(0, null);
-  follower.drop();
-  assert.equal(follower.settled, true);
-  assert.equal(follower.answer({id: "run-1"}), null);
-  assert.equal(follower.isLost(99), false);
-  follower.drag(pose(2));
-  assert.equal(follower.take(1, null).id, "run-2");
-  assert.equal(follower.isLost(1.5), false);
-  assert.equal(follower.isLost(1 + LOST_S), true);
-  assert.notEqual(follower.answer({id: "run-2"}), null);
-  assert.equal(follower.isLost(9), false);
 });
 
 // -- saved poses

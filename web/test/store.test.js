@@ -171,7 +171,7 @@ test("tasks that are none are refused with a sentence, and the last ones stay", 
   assert.equal(store.robot("r").tasks, null);
 });
 
-const ANSWERS = ["review/ack", "stop/ack", "pause/ack", "plan_request/ack", "ik/ack/kr120-planner-ada"];
+const ANSWERS = ["review/ack", "stop/ack", "pause/ack", "plan_request/ack"];
 
 /** Hear messages of a topic, of which each must be refused, and told in a sentence that is no exception's own. */
 async function refuses({store, hear}, topic, values) {
@@ -217,13 +217,12 @@ test("a plan whose form is not a plan's is refused, and then none is under revie
 test("an answer that is no object, or of which a field is of another type, is refused and reaches nobody", async () => {
   const page = fakePage();
   const told = [];
-  for (const kind of ["review_ack", "stop_ack", "pause_ack", "plan_request_ack", "ik_ack"]) page.store.on(kind, (_, value) => told.push([kind, value]));
-  const [review, stop, pause, request, ik] = ANSWERS;
+  for (const kind of ["review_ack", "stop_ack", "pause_ack", "plan_request_ack"]) page.store.on(kind, (_, value) => told.push([kind, value]));
+  const [review, stop, pause, request] = ANSWERS;
   for (const topic of ANSWERS) await refuses(page, topic, [null, 3, "yes", true, [], [{id: "1", ok: true}]]);
-  for (const topic of [stop, pause, request, ik]) await refuses(page, topic, [{id: 1}, {id: null}]);
+  for (const topic of [stop, pause, request]) await refuses(page, topic, [{id: 1}, {id: null}]);
   for (const topic of [review, stop, pause, request]) await refuses(page, topic, [{ok: 1}, {ok: "yes"}, {reason: null}, {account: 1}]);
   await refuses(page, review, [{verdict: true}, {plan_id: null}, {plan_hash: 1}, {reviewer: []}]);
   await refuses(page, request, [{duration: "2"}, {plan_id: 1}, {expired: 1}]);
-  await refuses(page, ik, [{reach: null}, {joints: []}, {joints: {joint_a1: null}}, {between: "wall"}, {sentence: 1}]);
   assert.deepEqual(told, []);
 });

@@ -363,12 +363,3 @@ def read_goal(document: Mapping[str, Any], joints: Joints) -> GoalRequest:
     if "joints" in fields:
         fields["joints"] = joints.in_order(fields["joints"], "joints")
     return GoalRequest(**fields)
-
-
-class IkRequest(Request):
-    """A message on `ik/<account>`: a dragged pose for which joint values are wanted, near to `seed` or to the twin's."""
-
-    id: Id
-    position: Position
-    orientation: Quaternion
-    seed: JointValues = {}

@@ -63,9 +63,9 @@ class Topics:
         """Where requests of a kind come in from one account; ``+`` for any."""
         return self._topic(kind.topic.format(account))
 
-    def ack_of(self, kind: RequestKind, account: str = "+") -> str:
+    def ack_of(self, kind: RequestKind) -> str:
         """Where they are answered."""
-        return self._topic(kind.ack.format(account))
+        return self._topic(kind.ack)
 
     #: Joint strings to the arm, and from it.
     command, state = _level("command"), _level("state")

@@ -27,8 +27,6 @@ class Answer:
         expired: The request was too old.
         reviewer: The name on record.
         duration: Of the plan [s].
-        reach: ``free``, ``contact``, ``out`` or ``unknown``.
-        joints: By name [rad, m].
         limit: People's speed limit after the request, a fraction of the planned speed; 0: not known.
     """
 
@@ -38,7 +36,6 @@ class Answer:
     kind: str = ""
     ok: bool = False
     reason: str = ""
-    sentence: str = ""
     by: str = EXECUTOR
     expired: bool = False
     plan_id: str = ""
@@ -47,9 +44,6 @@ class Answer:
     reviewer: str = ""
     duration: float = 0.0
     notes: Sequence[str] = ()
-    reach: str = "unknown"
-    joints: Mapping[str, float] | None = None
-    between: Sequence[str] = ()
     task: str = ""
     message: str = ""
     limit: float = 0.0
@@ -79,17 +73,12 @@ class RequestKind:
     topic: str
     ack: str
     answer: tuple[str, ...]
-    qos: int = 1
     limit: int = 4096
     pace: Pace | None = None
     starts: bool = False
     by: str = EXECUTOR
     expires: bool = False
     limited_by: str = ""
-
-    def is_answered_to(self, account: str) -> bool:
-        """Return whether somebody hears the answer; where each account has a topic of its own, "" has none."""
-        return bool(account) or "{}" not in self.ack
 
     def payload(self, /, **known: object) -> bytes:
         """Return an answer: what is known of its fields, else `UNKNOWN`, and `said` (`core.sentences`); ValueError for a nan."""
@@ -105,7 +94,6 @@ _PLANNED = ("id", "account", "kind", "ok", "reason", "plan_id", "plan_hash", "du
 _ANSWERED = ("id", "account", "task", "ok", "reason", "expired")
 _ACKNOWLEDGED = ("id", "account", "message", "ok", "reason")
 _LIMITED = ("id", "account", "limit", "ok", "reason", "expired")
-_REACHED = ("id", "reach", "joints", "sentence", "between")
 #: Nobody alone holds up the others: a motion is checked in seconds.
 _PLANNING = Pace(1)
 _CHECKED = ("id", "sender", "ok", "reason", "plan_id", "plan_hash", "duration", "notes")
@@ -134,7 +122,6 @@ RAISE_SPEED = RequestKind("raise_speed", "approve", "raise_speed/{}", "speed/ack
 PLAN_REQUEST = RequestKind(
     "plan_request", "operate", "plan_request/{}", "plan_request/ack", _PLANNED, pace=_PLANNING, expires=True
 )
-IK = RequestKind("ik", "operate", "ik/{}", "ik/ack/{}", _REACHED, qos=0, pace=Pace(15))
 #: A motion in no name; the account of the topic below is shown to the reviewer.
 NAMELESS_TRAJECTORY = RequestKind(
     "trajectory", "operate", "trajectory", "trajectory/ack", _CHECKED, pace=_PLANNING, limited_by="max_trajectory_bytes"
@@ -142,7 +129,7 @@ NAMELESS_TRAJECTORY = RequestKind(
 TRAJECTORY = replace(NAMELESS_TRAJECTORY, topic="trajectory/from/{}")
 #: In the order of the broker's rules.
 REQUESTS = (
-    NAMELESS_REVIEW, REVIEW, OVERRIDE, *PRESSED, ANSWER, ACKNOWLEDGE, LOWER_SPEED, RAISE_SPEED, PLAN_REQUEST, IK,
+    NAMELESS_REVIEW, REVIEW, OVERRIDE, *PRESSED, ANSWER, ACKNOWLEDGE, LOWER_SPEED, RAISE_SPEED, PLAN_REQUEST,
     NAMELESS_TRAJECTORY, TRAJECTORY,
 )  # fmt: skip
 

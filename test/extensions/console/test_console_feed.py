@@ -31,7 +31,7 @@ from construction_twin.extensions.console.nodes import feed as module
 from construction_twin.extensions.console.nodes.endpoint import Connection
 from construction_twin.extensions.console.nodes.feed import ARM, EXPECTED, TWIN, ConsoleFeed, deployment_of
 from construction_twin.extensions.console.private_files import PrivateFiles
-from construction_twin.extensions.console.remote_view import ClosestView, ViewWriter
+from construction_twin.extensions.console.remote_view import ViewWriter
 from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
@@ -310,8 +310,7 @@ def test_what_is_old_is_shown_as_not_known(broker, clock):
 
 
 def test_the_view_has_what_only_a_console_shows(broker, clock):
-    closest = ClosestView(0.5, ("link_3", "wall"), (1.0, 2.0, 3.0), 0.25)
-    made = feed(broker, plan=lambda: "p7", closest=lambda: closest)
+    made = feed(broker, plan=lambda: "p7")
 
     def view() -> dict:
         return json.loads(made.publish_view())
@@ -323,7 +322,7 @@ def test_the_view_has_what_only_a_console_shows(broker, clock):
     boundary.approval_obstacle, boundary.overridable = "not in sync", True
     made.on_execution(boundary)
     message = view()
-    assert (message["plan"], message["closest"]["between"]) == ("p7", ["link_3", "wall"])
+    assert message["plan"] == "p7"
     assert (message["link"]["round_trip_ms"], message["link"]["late"]) == (32.1, 3)
     assert message["hold"] == {"cause": "joint_a3 differs", "since": 7.0}
     assert (message["approval_obstacle"], message["overridable"]) == ("not in sync", True)

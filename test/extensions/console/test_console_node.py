@@ -135,7 +135,7 @@ def test_what_people_do_has_a_connection_of_its_own(bench):
         "raise_speed/+",
     }
     assert set(bench.acts.topics) == {TOPIC + topic for topic in (*acts, "plan")}
-    others = {"trajectory", "trajectory/from/+", "plan_request/+", "ik/+", "acknowledge/+"}
+    others = {"trajectory", "trajectory/from/+", "plan_request/+", "acknowledge/+"}
     assert set(bench.line.topics) == {TOPIC + topic for topic in others}
     assert bench.acts.said("plan") == [None] and bench.line.said("view")[0]["online"]
     bench.acts.connected = False

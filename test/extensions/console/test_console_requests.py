@@ -1,4 +1,4 @@
-"""Wishes for plans and dragged poses from consoles, without ROS master and broker."""
+"""Motions and wishes for plans from consoles, without ROS master and broker."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import json
 import math
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 import rospy
 from bridge_bench import Client
@@ -23,16 +22,13 @@ from paho.mqtt.client import topic_matches_sub
 from std_srvs.srv import TriggerResponse
 
 from construction_twin.core.freshness import Moment
-from construction_twin.extensions.console.nodes import endpoint, requests
+from construction_twin.extensions.console.nodes import endpoint
 from construction_twin.extensions.console.nodes.endpoint import Connection
-from construction_twin.extensions.console.nodes.requests import REPEAT_WINDOW, WAITING, ConsoleRequests, RobotContext
+from construction_twin.extensions.console.nodes.requests import REPEAT_WINDOW, WAITING, ConsoleRequests
 from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
-from construction_twin.robot.motion_errors import SceneError
-from construction_twin.robot.plan import Clearance
 from construction_twin.ros.messages.services import PLAN_SERVICES
-from construction_twin.views.reachability import PoseVerdict, Reach
 
 JOINTS = Joints(("joint_a1", "track"), (False, True))
 ADA = "kr120-planner-ada"
@@ -70,27 +66,6 @@ class Service:
         return self.answer
 
 
-class Judge:
-    """In place of a PoseJudge."""
-
-    def __init__(self):
-        self.asked: list = []
-        self.verdict = PoseVerdict(Reach.FREE, "can be reached", np.array([0.25, 1.5]))
-        self.error: Exception | None = None
-        self.clearance: Clearance | None = Clearance(0.25, ("link_3", "wall"), (1.0, 2.0, 3.0))
-
-    def judge(self, position, rotation, seed):
-        self.asked.append((tuple(position), np.asarray(rotation).tolist(), tuple(seed)))
-        if self.error is not None:
-            raise self.error
-        return self.verdict
-
-    def closest(self, q):
-        if self.error is not None:
-            raise self.error
-        return self.clearance
-
-
 class Bench:
     def __init__(self):
         self.client, self.planner = (
@@ -99,8 +74,7 @@ class Bench:
         )
         self.refused: list[str] = []
         self.steady, self.wall = 1000.0, 1_764_000_000 * 10**9
-        self.twin, self.work, self.engaged = (0.5, 1.0), False, False
-        self.judge = Judge()
+        self.work, self.engaged = False, False
         self.connection = Connection(Broker("127.0.0.1", 1), self.client, Topics("twin", "kr120"), self._refuse)
         self.services = {
             kind: Service(PLAN_SERVICES[kind].name, PLAN_SERVICES[kind].kind, answer)
@@ -112,11 +86,9 @@ class Bench:
                 ("work_task", WorkPlanTaskResponse(**PLAN, task="t")),
             )
         }
-        around = RobotContext(lambda: self.twin, lambda: self.work, lambda: self.engaged)
         self.desk = ConsoleRequests(
-            JOINTS, self.services, self.planner, self.judge, around,
-            self.connection, 4096,
-        )  # fmt: skip
+            JOINTS, self.services, self.planner, self.connection, 4096, lambda: self.work, lambda: self.engaged
+        )
 
     def moment(self) -> Moment:
         """The present moment."""
@@ -156,17 +128,13 @@ class Bench:
         """The answers to motions."""
         return [answer for topic, answer in self.published if topic == "twin/kr120/trajectory/ack"]
 
-    def drag(self, account: str = ADA, **document) -> None:
-        self.deliver(f"ik/{account}", json.dumps({"id": "3"} | POSE | document).encode())
-
 
 @pytest.fixture
 def bench(monkeypatch):
     made = Bench()
     monkeypatch.setattr(rospy, "wait_for_service", lambda *_: None)
     monkeypatch.setattr(rospy, "loginfo", lambda *_: None)
-    for module in (requests, endpoint):
-        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: made.steady))
+    monkeypatch.setattr(endpoint, "time", SimpleNamespace(monotonic=lambda: made.steady))
     monkeypatch.setattr(endpoint, "present_moment", made.moment)
     return made
 
@@ -246,48 +214,6 @@ def test_a_wish_that_came_too_late_is_void_and_says_so(bench):
     assert (answer["ok"], answer["expired"], answer["kind"]) == (False, True, "way_back")
     assert "too old: it is of 6.0 s ago" in answer["reason"] and bench.refused == ["too_old"]
     assert bench.services["way_back"].asked == [] and bench.ask(kind="way_back", id="8")["ok"]
-
-
-# -- poses that are dragged
-
-
-def test_a_pose_is_solved_near_the_twin_or_near_a_seed(bench):
-    bench.drag()
-    bench.desk.poses.run()
-    bench.drag(seed={"joint_a1": 0.1, "track": 0.2})
-    bench.desk.poses.run()
-    assert [seed for _, _, seed in bench.judge.asked] == [(0.5, 1.0), (0.1, 0.2)]
-    assert bench.published[0] == (
-        f"twin/kr120/ik/ack/{ADA}",
-        {
-            "id": "3",
-            "reach": "free",
-            "joints": {"joint_a1": 0.25, "track": 1.5},
-            "sentence": "can be reached",
-            "between": [],
-        },
-    )
-
-
-def test_what_cannot_be_solved_is_a_sentence(bench):
-    bench.judge.verdict = PoseVerdict(
-        Reach.CONTACT, "link_3 would touch wall", np.array([0.0, 1.0]), ("link_3", "wall")
-    )
-    bench.drag()
-    bench.desk.poses.run()
-    bench.judge.verdict = PoseVerdict(Reach.OUT, "out of reach by 7 mm")
-    bench.drag()
-    bench.desk.poses.run()
-    bench.judge.error = SceneError("scene", "x", "y")
-    bench.drag()
-    bench.desk.poses.run()
-    bench.twin = ()
-    bench.drag()
-    bench.desk.poses.run()
-    answers = [answer for _, answer in bench.published]
-    assert [answer["reach"] for answer in answers] == ["contact", "out", "unknown", "unknown"]
-    assert answers[0]["between"] == ["link_3", "wall"] and answers[1]["joints"] is None
-    assert "twin's pose is not known" in answers[3]["sentence"] and bench.refused == ["ik"]
 
 
 # -- motions that were planned elsewhere

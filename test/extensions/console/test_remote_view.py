@@ -15,7 +15,6 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.extensions.console.remote_view import (
     COMPATIBLE,
     VERSION,
-    ClosestView,
     FreshReport,
     PlanProgress,
     PoseView,
@@ -46,19 +45,8 @@ INPUTS = ViewInputs(
         2.0,
     ),
     "p2",
-    ClosestView(0.123, ("link_3", "wall"), (1.0, 0.5, 0.25), 0.1),
     0.25,
 )
-#: The keys of version 1, at the first two levels.
-VERSION_1 = {
-    "version": {}, "robot": {}, "online": {}, "run": {}, "seq": {}, "stamp": {}, "units": {}, "joints": {"names", "types"},
-    "twin": {"stamp", "age", "positions"}, "arm": {"stamp", "age", "positions"},
-    "sync": {"state", "reason", "age", "policy", "agreed", "error", "threshold", "servo_lag", "violations"},
-    "link": {"state", "reason", "age", "gateway_state", "gateway_kind", "responsible"},
-    "execution": {
-        "state", "reason", "age", "plan_id", "outcome", "duration", "progress", "rate", "speed_limit",
-    },
-}  # fmt: skip
 
 
 def writer() -> ViewWriter:
@@ -97,14 +85,7 @@ def test_the_message_has_the_keys_of_the_schema_at_every_level():
     assert SCHEMA["properties"]["units"]["const"] == message["units"]
 
 
-def test_a_reader_of_version_1_finds_all_that_it_knows():
-    for message in (read(writer().write(NOW, INPUTS, MOMENT)), read(writer().offline())):
-        assert message["compatible"] == 1 and set(VERSION_1) <= set(message)
-        for key, inner in VERSION_1.items():
-            assert not inner or message[key] is None or inner <= set(message[key]), key
-
-
-def test_what_version_4_adds_is_in_it():
+def test_a_hold_and_what_is_against_an_approval_are_in_it():
     held = replace(INPUTS, hold=HoldReport("joint_a1 differs", NOW - 10**9))
     report = replace(INPUTS.execution.report, approval_obstacle="not in sync", overridable=True)
     held = replace(held, execution=replace(INPUTS.execution, report=report))
@@ -117,7 +98,7 @@ def test_what_version_4_adds_is_in_it():
     assert without["approval_obstacle"] == "", "there is no plan that it could stand against"
 
 
-def test_what_version_5_adds_is_in_it():
+def test_the_speed_limit_and_the_controller_s_own_words_are_in_it():
     said = SpeedReport(0.2, "people", "dora has it", 0.2, "dora", NOW - 10**9, 0.5, "bob", 1.0, "", 1)
     message = read(writer().write(NOW, replace(INPUTS, speed=said), MOMENT))
     assert message["speed"] == {

@@ -17,7 +17,6 @@ from construction_twin.link.requests import (
     Acknowledgement,
     AnswerRequest,
     GoalRequest,
-    IkRequest,
     Joints,
     LowerSpeed,
     NamelessVerdict,
@@ -49,17 +48,13 @@ def read_message(model, kind: RequestKind, data: bytes, retained: bool):
     return read(model, read_document(data, retained, kind.name, kind.limit), kind.name)
 
 
-def read_ik(document: dict, joints: Joints) -> IkRequest:
-    return read(IkRequest, document, "ik")
-
-
 def asked(kind: str, **changes) -> dict:
     return {"id": "7", "kind": kind, "moment": str(MOMENT)} | REQUESTS[kind] | changes
 
 
-def refused(document: dict, parse=read_goal) -> str:
+def refused(document: dict) -> str:
     with pytest.raises(PayloadError) as caught:
-        parse(document, JOINTS)
+        read_goal(document, JOINTS)
     return caught.value.reason
 
 
@@ -108,17 +103,8 @@ def test_what_is_not_exactly_so_is_refused(document, reason):
     assert refused(document) == reason
 
 
-def test_a_pose_to_solve_has_a_seed_or_none():
-    document = {"id": "3"} | POSE
-    assert read_ik(document, JOINTS) == IkRequest(id="3", position=(1.5, 0.0, 2.0), orientation=(0.0, 0.0, 0.0, 1.0))
-    assert read_ik(document | {"seed": VALUES}, JOINTS).seed == VALUES
-    assert refused(document | {"seed": [0.5, 2.0]}, read_ik) == "format"
-    assert refused(document | {"kind": "pose"}, read_ik) == "format"
-    assert refused({"id": "3", "position": [0, 0, 0]}, read_ik) == "format"
-
-
 def test_a_quaternion_with_three_digits_becomes_a_unit_one():
-    read = read_ik({"id": "3", "position": [0, 0, 0], "orientation": [0.707, 0.0, 0.0, 0.707]}, JOINTS)
+    read = read_goal(asked("pose", orientation=[0.707, 0.0, 0.0, 0.707]), JOINTS)
     assert math.hypot(*read.orientation) == pytest.approx(1.0, abs=1e-15)
 
 
@@ -272,7 +258,7 @@ def test_what_is_not_as_described_is_refused(model, good, changes):
 
 #: What JSON can hold, with the keys and words of requests mixed in.
 _words = st.sampled_from(
-    ["id", "kind", "moment", "joints", "position", "orientation", "seed", "task", "speed", "track", "joint_a1", *GOALS]
+    ["id", "kind", "moment", "joints", "position", "orientation", "task", "speed", "track", "joint_a1", *GOALS]
 )
 _values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=80) | _words,
@@ -283,21 +269,16 @@ _values = st.recursive(
 
 @given(document=st.dictionaries(st.text(max_size=8) | _words, _values, max_size=7), kind=st.sampled_from(sorted(GOALS)))
 def test_whatever_comes_is_a_request_or_refused_with_a_short_sentence(document, kind):
-    for parse, candidate in (
-        (read_goal, document),
-        (read_goal, asked(kind) | document),
-        (read_ik, {"id": "1"} | POSE | document),
-    ):
+    for candidate in (document, asked(kind) | document):
         try:
-            found = parse(candidate, JOINTS)
+            found = read_goal(candidate, JOINTS)
         except PayloadError as error:
             assert len(str(error)) < 500 and str(error).isprintable()
             continue
         numbers = [
             *found.position,
             *found.orientation,
-            *getattr(found, "joints", ()),
-            *getattr(found, "seed", {}).values(),
+            *found.joints,
         ]
         assert all(math.isfinite(value) for value in numbers) and len(found.id) <= 64
 
@@ -305,6 +286,6 @@ def test_whatever_comes_is_a_request_or_refused_with_a_short_sentence(document, 
 @given(payload=st.binary(max_size=200))
 def test_any_bytes_are_read_or_refused(payload):
     try:
-        assert isinstance(read_document(payload, False, "ik", MAX_BYTES), dict)
+        assert isinstance(read_document(payload, False, "plan_request", MAX_BYTES), dict)
     except PayloadError as error:
         assert error.reason == "format"

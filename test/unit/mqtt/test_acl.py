@@ -17,7 +17,7 @@ from construction_twin.mqtt.requests import NAMELESS_REVIEW, NAMELESS_TRAJECTORY
 #: What people write in the name of their account, by right: `mqtt.requests` and docs/reference/mqtt.md once more.
 ACTS = {
     "look": set(),
-    "operate": {"stop", "pause", "answer", "acknowledge", "lower_speed", "plan_request", "ik", "trajectory/from"},
+    "operate": {"stop", "pause", "answer", "acknowledge", "lower_speed", "plan_request", "trajectory/from"},
     "approve": {"stop", "review", "override_rehearsal", "resume", "raise_speed"},
     "reset": {"stop", "reset", "arm"},
 }
@@ -105,7 +105,7 @@ def test_the_table_knows_every_account_right_and_topic():
     listed = {getattr(topics, name) for name in names}
     listed |= {topics.of(NAMELESS_REVIEW), topics.of(NAMELESS_TRAJECTORY)}
     for kind in OF_ACCOUNTS:
-        listed |= {topics.of(kind, name) for name in PEOPLE} | {topics.ack_of(kind, "olaf")}
+        listed |= {topics.of(kind, name) for name in PEOPLE} | {topics.ack_of(kind)}
     assert listed == {f"twin/one/{topic}" for topic in TOPICS}
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from construction_twin.mqtt import requests
 from construction_twin.mqtt.messages import Topics
-from construction_twin.mqtt.requests import IK, PLAN_REQUEST, REQUESTS, REVIEW, STOP, TRAJECTORY, UNKNOWN
+from construction_twin.mqtt.requests import PLAN_REQUEST, REQUESTS, REVIEW, STOP, TRAJECTORY, UNKNOWN
 
 PLAN = {"plan_id": "p", "plan_hash": "h"}
 
@@ -32,18 +32,6 @@ PLAN = {"plan_id": "p", "plan_hash": "h"}
             b'"plan_hash": "h", "duration": 2.5, "expired": false}',
         ),
         (
-            IK,
-            {
-                "id": "3",
-                "reach": "contact",
-                "joints": {"joint_a1": 0.5},
-                "sentence": "s",
-                "between": ("link_3", "wall"),
-            },
-            b'{"id": "3", "reach": "contact", "joints": {"joint_a1": 0.5}, "sentence": "s", "between": ["link_3", "wall"]}',
-        ),
-        (IK, {}, b'{"id": "", "reach": "unknown", "joints": null, "sentence": "", "between": []}'),
-        (
             TRAJECTORY,
             {"id": "7", "sender": "", "reason": "why", "account": "of no field"},
             b'{"id": "7", "sender": "", "ok": false, "reason": "why", "plan_id": "", "plan_hash": "", "duration": 0.0, '
@@ -57,15 +45,10 @@ def test_an_answer_has_its_fields_in_their_order_whatever_is_known(kind, known, 
 
 def test_no_answer_has_a_number_that_json_has_not():
     with pytest.raises(ValueError, match="JSON"):
-        IK.payload(joints={"joint_a1": float("nan")})
+        PLAN_REQUEST.payload(duration=float("nan"))
 
 
 def test_every_field_of_an_answer_is_known_and_no_topic_is_given_twice():
     assert {field for kind in REQUESTS for field in kind.answer} == set(UNKNOWN)
     topics = [Topics("twin", "kr120").of(kind) for kind in REQUESTS]
     assert len(set(topics)) == len(REQUESTS)
-
-
-def test_nobody_hears_the_answer_to_an_account_that_is_not_known_where_each_has_a_topic():
-    assert IK.is_answered_to("ada") and not IK.is_answered_to("")
-    assert STOP.is_answered_to("") and Topics("twin", "kr120").ack_of(IK, "ada") == "twin/kr120/ik/ack/ada"

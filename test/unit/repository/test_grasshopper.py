@@ -28,7 +28,7 @@ from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.extensions.console.nodes import requests
 from construction_twin.extensions.console.nodes.endpoint import Connection
 from construction_twin.extensions.console.nodes.feed import ARM, TWIN, ConsoleFeed
-from construction_twin.extensions.console.nodes.requests import ConsoleRequests, RobotContext
+from construction_twin.extensions.console.nodes.requests import ConsoleRequests
 from construction_twin.extensions.console.remote_view import ViewWriter
 from construction_twin.kinematics.chain import Chain
 from construction_twin.link.requests import Joints
@@ -109,8 +109,7 @@ class Cell:
         )
         connection = Connection(broker, self._client, Topics("twin", "kr120"), self.refusals.refuse)
         self.feed = ConsoleFeed("base_link", connection, writer, {TWIN: Stream(), ARM: Stream()})
-        around = RobotContext(lambda: ROBOT.home)
-        self.requests = ConsoleRequests(joints, {}, self.planner, None, around, connection, 2_000_000)
+        self.requests = ConsoleRequests(joints, {}, self.planner, connection, 2_000_000, lambda: False, lambda: False)
         self.feed.on_execution(Execution(text="IDLE", reason="at rest"))
         connection.connect(self.feed.first, self.feed.republish_retained)
         wait_until(self._client.is_connected, what="the node's connection")

@@ -1,5 +1,5 @@
 /**
- * Plan a motion: joint sliders, saved poses, the tool dragged by its handle in the picture, a straight line.
+ * Plan a motion: joint sliders, saved poses, the tool's pose as numbers, a straight line.
  *
  * Nothing moves by it: what is asked for becomes a plan under review. Who may ask stands in the list of rights
  * (rights.js); who may not reads who can, in place of sliders. Where there is no list, everything is drawn, and a
@@ -7,9 +7,7 @@
  */
 import {add, button, clear, setText} from "../dom.js";
 import {showAsking} from "../planning/asking.js";
-import {Goal} from "../planning/goal.js";
-import {IkFollower} from "../planning/ik_follower.js";
-import {ends, fromShown, shown, typed, unit} from "../planning/joints.js";
+import {ends, fromShown, isInside, shown, typed, unit} from "../planning/joints.js";
 import {LONGEST, Poses} from "../planning/poses.js";
 import {whoCan} from "../rights.js";
 import {storageOf} from "../storage.js";
@@ -20,33 +18,22 @@ import {makeToolFields} from "./tool_fields.js";
 
 /** Fractions of the limits that can be chosen; 0: what the planner has set. */
 const SPEEDS = [0, 0.1, 0.25, 0.5, 1];
-/** How often it is looked whether an answer is overdue [ms]. */
-const LOOK_EVERY = 500;
 /** Why a pose is not saved or deleted. */
 const NOT_SAVED = {
   name: mark("Give the pose a name first (at most 40 characters)."),
   full: mark("50 poses are saved already. Delete one first."),
   storage: mark("This browser keeps nothing for pages, so the pose was not saved."),
 };
-const REACH = {
-  free: mark("The arm gets there and touches nothing."),
-  contact: mark("The arm would touch something there."),
-  out: mark("The arm does not get there."),
-  unknown: mark("It is not known whether the arm gets there."),
-};
-
 /** What the panel knows of one robot. */
 class Desk {
-  constructor(run) {
-    this.follower = new IkFollower(run);
+  constructor() {
     // what the broker has said to what a person asked for on this connection: "", "taken", "refused"
     this.broker = "";
     // null until the model was read; then as in planning/model.js, and the saved poses
     this.model = null;
     this.poses = null;
+    // joint values {name: value}; null: none is set
     this.goal = null;
-    this.dragged = null;
-    this.asked = new Map();
     this.note = "";
   }
 }
@@ -58,7 +45,6 @@ class Desk {
  */
 export function make(parent, store, connection, texts, {storage = storageOf(), now = () => performance.now() / 1000} = {}) {
   const desks = new Map();
-  let timer = null;
   let shownJoints = null;
   let hasPose = false;
 
@@ -68,8 +54,7 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
   add(work, "p", {className: "plan-hint",
     text: texts("Nothing moves. What you ask for becomes a plan, which somebody must look at and approve.")});
   const sliders = add(work, "div", {className: "plan-sliders"});
-  const toolFields = makeToolFields(work, texts, onToolTyped);
-  const reach = add(work, "p", {className: "plan-reach", role: "status"});
+  const wrong = add(work, "p", {className: "plan-wrong", role: "status"});
   const row = add(work, "div", {className: "plan-row"});
   button(row, texts("Back to where the robot is"), onBegin);
   button(row, texts("Discard the goal"), onDiscard, {className: "quiet"});
@@ -92,11 +77,11 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
     add(speed, "option", {value: String(fraction), text});
   }
   const ask = button(asks, texts("Ask for this plan"), () => onAsk("joints"), {className: "plan-ask"});
-  const line = button(asks, texts("Ask for a straight line of the tool"), () => onAsk("line"));
+  const toolFields = makeToolFields(work, texts, (kind, {position, quaternion}) => onAsk(kind, {position, orientation: quaternion}));
   const answer = add(work, "p", {className: "plan-answer", role: "status"});
 
   function desk(robot) {
-    if (!desks.has(robot)) desks.set(robot, new Desk(crypto.randomUUID().slice(0, 13)));
+    if (!desks.has(robot)) desks.set(robot, new Desk());
     return desks.get(robot);
   }
 
@@ -110,7 +95,7 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
     const mine = desk(robot);
     mine.model = model.trouble ? null : model;
     if (mine.model !== null) {
-      mine.goal = new Goal(model.joints);
+      mine.goal = null;
       mine.poses = new Poses(storage, robot, model.joints);
       if (mine.poses.dropped > 0) mine.note = texts("{count} saved poses do not fit this robot and were left out.", {count: mine.poses.dropped});
     }
@@ -136,93 +121,23 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
   }
 
   function onDiscard() {
-    const mine = selected();
-    mine.follower.drop();
-    mine.dragged = null;
-    mine.goal.clear();
+    selected().goal = null;
     store.set("goal", store.selected, null);
-    store.set("handle", store.selected, null);
     show();
   }
 
-  /** Take joint values from a person; the handle goes where they bring the tool. */
+  /** Take joint values from a person, complete and inside their ranges. */
   function setGoal(values) {
     const mine = selected();
-    mine.follower.drop();
-    mine.dragged = null;
-    if (!mine.goal.setJoints(values)) {
-      setText(reach, texts("This goal is outside of a joint's range, so it was not taken."));
+    const {joints} = mine.model;
+    if (!joints.every((joint) => Number.isFinite(values[joint.name]) && isInside(joint, values[joint.name]))) {
+      setText(wrong, texts("This goal is outside of a joint's range, so it was not taken."));
       return;
     }
-    store.set("handle", store.selected, mine.model.pose(mine.goal.values));
-    showGoal(store.selected);
-    show();
-  }
-
-  function showGoal(robot) {
-    const {goal, model} = desk(robot);
-    const names = model.joints.map((joint) => joint.name);
-    store.set("goal", robot, {names, positions: names.map((joint) => goal.values[joint]), reach: goal.reach});
-  }
-
-  function onDrag(robot, {position, quaternion}) {
-    const mine = desk(robot);
-    if (mine.goal === null || mine.goal.values === null || !mayPlan(robot)) return;
-    mine.dragged = {position: [...position], quaternion: [...quaternion]};
-    mine.follower.drag({position: mine.dragged.position, orientation: mine.dragged.quaternion});
-    follow(robot);
-    show();
-  }
-
-  /** Take a pose of the tool that was typed: as if it had been dragged there. */
-  function onToolTyped(pose) {
-    store.set("handle", store.selected, pose);
-    onDrag(store.selected, pose);
-  }
-
-  /** Send the question that is due, and come back for the next. */
-  function follow(robot) {
-    const mine = desk(robot);
-    const question = mine.follower.take(now(), mine.goal.values);
-    if (question !== null) {
-      mine.asked.set(question.id, {position: question.position, quaternion: question.orientation});
-      while (mine.asked.size > 8) mine.asked.delete(mine.asked.keys().next().value);
-      // one with QoS 0 that the broker's rules refuse disappears without a word
-      const qos = mine.broker === "taken" || store.rightsOf.may(robot, "operate") ? 0 : 1;
-      connection.publish(connection.own("ik"), robot, question, {qos}).then(
-        () => {
-          if (qos === 1) mine.broker = "taken";
-        },
-        (error) => onUnsent(mine, error),
-      );
-    }
-    const wait = mine.follower.wait(now());
-    if (wait !== null && timer === null) {
-      timer = setTimeout(() => {
-        timer = null;
-        follow(robot);
-      }, Math.max(1, 1000 * wait));
-    }
-  }
-
-  function onUnsent(mine, error) {
-    mine.follower.drop();
-    if (error.reason === "refused") mine.broker = "refused";
-    else {
-      const sentence = texts("This did NOT go out. Drag again once the page is connected.");
-      mine.goal.setAnswer(mine.dragged, {reach: "unknown", joints: null, sentence});
-    }
-    show();
-  }
-
-  function onIkAnswer(robot, message) {
-    const mine = desk(robot);
-    const solved = mine.goal === null || mine.goal.values === null ? null : mine.follower.answer(message);
-    if (solved === null) return;
-    const pose = mine.asked.get(solved.id) ?? null;
-    mine.goal.setAnswer(pose, {reach: solved.reach, joints: solved.joints ?? null, sentence: solved.sentence ?? ""});
-    showGoal(robot);
-    follow(robot);
+    setText(wrong, "");
+    const names = joints.map((joint) => joint.name);
+    mine.goal = Object.fromEntries(names.map((joint) => [joint, values[joint]]));
+    store.set("goal", store.selected, {names, positions: names.map((joint) => values[joint])});
     show();
   }
 
@@ -230,7 +145,7 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
 
   function onSave() {
     const mine = selected();
-    const why = mine.poses.save(name.value, mine.goal.values);
+    const why = mine.poses.save(name.value, mine.goal);
     mine.note = why === "" ? texts("Saved as {name}, on this device only.", {name: name.value.trim()}) : texts(NOT_SAVED[why]);
     if (why === "") name.value = "";
     show();
@@ -255,18 +170,11 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
     show();
   });
 
-  function onAsk(kind) {
+  function onAsk(kind, goal = {joints: selected().goal}) {
     const robot = store.selected;
-    const mine = desk(robot);
-    if (isBusy(requests.of(robot)) || !mine.goal.isAskable) return;
+    if (isBusy(requests.of(robot))) return;
     const fraction = Number(speed.value);
-    const goal = kind === "joints" ? {joints: mine.goal.values} : linePose(mine);
     requests.send(robot, "plan_request", {kind, ...goal, ...(fraction > 0 && {speed_scale: fraction})});
-  }
-
-  function linePose(mine) {
-    const pose = mine.goal.pose ?? mine.model.pose(mine.goal.values);
-    return {position: pose.position, orientation: pose.quaternion};
   }
 
   // -- what is shown
@@ -276,7 +184,7 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
     const mine = selected();
     const connected = connection.state === "connected";
     const isPlanner = mine !== null && mine.model !== null && mayPlan(robot);
-    const hasGoal = isPlanner && mine.goal.values !== null;
+    const hasGoal = isPlanner && mine.goal !== null;
     work.hidden = !hasGoal;
     begin.hidden = !isPlanner || hasGoal;
     hasPose = mine !== null && presentJoints(robot) !== null;
@@ -285,12 +193,10 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
     told.hidden = told.textContent === "";
     if (!hasGoal) return;
     showSliders(mine);
-    toolFields.show(mine.dragged ?? mine.model.pose(mine.goal.values));
-    showReach(mine);
+    toolFields.show(mine.model.pose(mine.goal));
     showPoses(mine);
-    const old = store.robot(robot)?.old ?? true;
-    ask.disabled = !connected || old || isBusy(requests.of(robot)) || !mine.goal.isAskable || !mine.follower.settled;
-    line.disabled = ask.disabled;
+    ask.disabled = !connected || (store.robot(robot)?.old ?? true) || isBusy(requests.of(robot));
+    toolFields.disable(ask.disabled);
     showAsking(answer, requests.of(robot), store.robot(robot)?.plan?.id ?? "", connection.account, texts);
   }
 
@@ -318,7 +224,7 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
       for (const joint of shownJoints) makeSlider(joint);
     }
     shownJoints.forEach((joint, number) => {
-      const value = shown(joint, mine.goal.values[joint.name]);
+      const value = shown(joint, mine.goal[joint.name]);
       const [slider, field] = sliders.children[number].querySelectorAll("input");
       const document = sliders.ownerDocument;
       if (document.activeElement !== slider || Math.abs(Number(slider.value) - value) > 0.051) slider.value = String(value);
@@ -339,29 +245,18 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
     add(line_, "span", {text: unit(joint)});
     slider.addEventListener("input", () => {
       const value = Math.min(joint.upper, Math.max(joint.lower, fromShown(joint, Number(slider.value))));
-      setGoal({...selected().goal.values, [joint.name]: value});
+      setGoal({...selected().goal, [joint.name]: value});
     });
     field.addEventListener("change", () => {
       const value = typed(joint, field.value);
       if (value === null) {
         field.setAttribute("aria-invalid", "true");
-        setText(reach, texts("{joint} goes from {min} to {max} {unit}. Write a number in between.", {joint: joint.name, min, max, unit: unit(joint)}));
+        setText(wrong, texts("{joint} goes from {min} to {max} {unit}. Write a number in between.", {joint: joint.name, min, max, unit: unit(joint)}));
         return;
       }
       field.removeAttribute("aria-invalid");
-      setGoal({...selected().goal.values, [joint.name]: value});
+      setGoal({...selected().goal, [joint.name]: value});
     });
-  }
-
-  function showReach(mine) {
-    const {goal, follower} = mine;
-    reach.className = `plan-reach reach-${goal.pose === null ? "unknown" : goal.reach}`;
-    if (follower.isLost(now())) {
-      setText(reach, texts("The planner does not answer where the tool was dragged. Drag again; "
-        + "if it stays so, somebody must look at the planner."));
-    } else if (mine.dragged === null) setText(reach, texts("Whether the way there is free is checked when you ask for the plan."));
-    else if (!follower.settled && goal.pose === null) setText(reach, texts("Looking whether the arm gets there ..."));
-    else setText(reach, `${texts(REACH[goal.reach])} ${texts.reason(goal.sentence)}`.trim());
   }
 
   function showPoses(mine) {
@@ -384,18 +279,10 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
   });
   for (const kind of ["selected", "old", "rights"]) store.on(kind, show);
   store.on("model", onModel);
-  store.on("drag", onDrag);
-  store.on("ik_ack", onIkAnswer);
   store.on("plan", show);
   store.on("connection", () => {
-    for (const mine of desks.values()) {
-      mine.follower.drop();
-      mine.broker = "";
-    }
+    for (const mine of desks.values()) mine.broker = "";
     show();
   });
-  setInterval(() => {
-    if (selected()?.follower.isLost(now())) show();
-  }, LOOK_EVERY).unref?.();
   show();
 }

@@ -1,10 +1,11 @@
-/** The tool's pose as numbers: x y z in mm and A B C in degrees, beside the handle in the picture. What is typed is taken all at once. */
+/** The tool's pose as numbers, x y z in mm and A B C in degrees, for a motion or a straight line to it. */
 import {add, button, setText} from "../dom.js";
 import {fromAngles, shownAngle, toAngles} from "../planning/angles.js";
 import {numberOf} from "../planning/joints.js";
 import {mark} from "../texts.js";
 
 export const FIELDS = {x: "X", y: "Y", z: "Z", a: mark("A (about Z)"), b: mark("B (about Y')"), c: mark("C (about X'')")};
+const ASKS = {pose: mark("Ask for a motion of the tool to there"), line: mark("Ask for a straight line of the tool to there")};
 /** Farthest that is sent [mm]: what is typed wrongly is told here, and what an arm does not reach the planner says. */
 const FARTHEST = 100000;
 
@@ -18,8 +19,8 @@ export function textsOf({position, quaternion}) {
 /**
  * Make the fields.
  *
- * @param {(pose: {position: number[], quaternion: number[]}) => void} onPose a person wants the tool there
- * @returns {{show: (pose: object) => void}} shows a pose, but in a field that is being typed in
+ * @param {(kind: "pose"|"line", pose: {position: number[], quaternion: number[]}) => void} onPose a person wants the tool there
+ * @returns {{show: (pose: object) => void, disable: (off: boolean) => void}} shows the goal's pose, once for each goal
  */
 export function makeToolFields(parent, texts, onPose) {
   const details = add(parent, "details", {className: "plan-tool"});
@@ -38,17 +39,11 @@ export function makeToolFields(parent, texts, onPose) {
     });
     return field;
   });
-  button(form, texts("Take as goal"), onGo, {className: "plan-tool-go"});
+  const buttons = Object.entries(ASKS).map(([kind, words]) => button(form, texts(words), () => onGo(kind), {className: `plan-tool-${kind}`}));
   const wrong = add(form, "p", {className: "plan-tool-note", role: "status"});
   let last = "";
 
-  form.addEventListener("keydown", (event) => {
-    if (event.key !== "Enter" || event.target.tagName !== "INPUT") return;
-    event.preventDefault();
-    onGo();
-  });
-
-  function onGo() {
+  function onGo(kind) {
     const values = fields.map((field, k) => numberOf(field.value, k < 3 ? FARTHEST : 360));
     fields.forEach((field, k) => {
       if (values[k] === null) field.setAttribute("aria-invalid", "true");
@@ -57,9 +52,8 @@ export function makeToolFields(parent, texts, onPose) {
       setText(wrong, texts("Write numbers: X, Y, Z in mm, A, B, C in degrees, at most 360."));
       return;
     }
-    last = "";
     const [x, y, z, a, b, c] = values;
-    onPose({position: [x / 1000, y / 1000, z / 1000], quaternion: fromAngles({a, b, c})});
+    onPose(kind, {position: [x / 1000, y / 1000, z / 1000], quaternion: fromAngles({a, b, c})});
   }
 
   return {
@@ -74,6 +68,9 @@ export function makeToolFields(parent, texts, onPose) {
         field.removeAttribute("aria-invalid");
       });
       setText(wrong, "");
+    },
+    disable(off) {
+      for (const each of buttons) each.disabled = off;
     },
   };
 }

@@ -5,9 +5,8 @@
  * Joint values are applied at once when a message comes; drawing waits for the next frame. The camera is fitted to all
  * that is there until the person moves it.
  */
-import {Box3, DirectionalLight, HemisphereLight, Object3D, PerspectiveCamera, Raycaster, Scene, Vector2, Vector3} from "three";
+import {Box3, DirectionalLight, HemisphereLight, PerspectiveCamera, Raycaster, Scene, Vector2, Vector3} from "three";
 import {OrbitControls} from "three/addons/controls/OrbitControls.js";
-import {TransformControls} from "three/addons/controls/TransformControls.js";
 import {clock} from "../progress.js";
 import {closestOf, millimetres} from "./closest.js";
 import * as colours from "./colours.js";
@@ -29,9 +28,8 @@ const REACH = 2.5;
 const AROUND = 0.2;
 /** Length of the tool frame's axes, as a part of the arm's reach. */
 const AXES = 0.1;
-/** Radius of the balls that mark the closest point, and whether a goal is reached [m]. */
+/** Radius of the ball that marks the closest point [m]. */
 const CLOSEST_BALL = 0.03;
-const REACH_BALL = 0.05;
 /** Joint values that differ by less show the same picture [rad], [m]. */
 const SAME = 1e-3;
 /** A finger that moved less than this [px] has tapped. */
@@ -104,46 +102,10 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
   let height = 0;
   const objects = [];
   const closest = markerBall(CLOSEST_BALL, colours.CLOSEST);
-  const reach = markerBall(REACH_BALL);
   const playedLine = playedPath();
-  scene.add(closest, reach, playedLine);
+  scene.add(closest, playedLine);
   let played = null;
   let playedId = "";
-
-  // -- the handle by which the goal is dragged
-
-  const handle = new Object3D();
-  scene.add(handle);
-  const gizmo = new TransformControls(camera, overlay);
-  gizmo.setSpace("local");
-  gizmo.setSize(0.9);
-  scene.add(gizmo.getHelper());
-  gizmo.getHelper().visible = false;
-  gizmo.enabled = false;
-  gizmo.addEventListener("change", redraw);
-  gizmo.addEventListener("dragging-changed", ({value}) => {
-    controls.enabled = !value;
-    if (!value) tellDrag(true);
-  });
-  gizmo.addEventListener("objectChange", () => tellDrag(false));
-
-  function tellDrag(done) {
-    store.set("drag", name, {position: handle.position.toArray(), quaternion: handle.quaternion.toArray(), done});
-  }
-
-  function showHandle(value) {
-    const there = value !== null;
-    if (there && !gizmo.dragging) {
-      handle.position.fromArray(value.position);
-      handle.quaternion.fromArray(value.quaternion);
-    }
-    if (there && gizmo.object === undefined) gizmo.attach(handle);
-    if (!there && gizmo.object !== undefined) gizmo.detach();
-    gizmo.enabled = there;
-    gizmo.getHelper().visible = there;
-    // handle and goal are told one after the other, in any order
-    showGoal();
-  }
 
   // -- model
 
@@ -257,7 +219,7 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
     if (chosen !== "" && isOutside()) refit();
     // views come 25 times a second; while the robot stands still they all show the same picture
     const shown = view === null ? "" : JSON.stringify(
-      [view.twin?.positions, view.arm?.positions, view.sync?.state, view.closest, bodies !== null, played?.travelled.at(-1), played?.remaining], rounded);
+      [view.twin?.positions, view.arm?.positions, view.sync?.state, bodies !== null, played?.travelled.at(-1), played?.remaining], rounded);
     const at = performance.now();
     if (shown === drawnView && at - drawnAt < AT_LEAST_EVERY) return;
     drawnView = shown;
@@ -304,19 +266,7 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
     const shown = goal ?? (planned ? {names: plan.joints, positions: plan.goal} : null);
     if (bodies !== null) {
       bodies.goal.visible = shown !== null;
-      ghosts.goal.color.set(colours.goalColour(goal?.reach));
       if (shown !== null) pose("goal", shown.names, shown.positions);
-    }
-    reach.visible = Boolean(goal?.reach) && bodies !== null && shown !== null;
-    if (reach.visible) {
-      reach.material.color.set(colours.goalColour(goal.reach));
-      const at = robot()?.handle;
-      if (at) {
-        reach.position.fromArray(at.position);
-      } else {
-        bodies.goal.updateWorldMatrix(true, true);
-        toolOf(bodies.goal).getWorldPosition(reach.position);
-      }
     }
     redraw();
   }
@@ -397,12 +347,11 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
     showPlayback();
     showScene();
     showTasks();
-    showHandle(robot()?.handle ?? null);
   }
 
   for (const [kind, show] of Object.entries({
     view: showView, plan: showPlan, path: showPlayed, goal: showGoal, playback: showPlayback, scene: showScene, tasks: showTasks,
-    picked: showPicked, handle: showHandle,
+    picked: showPicked,
   })) {
     store.on(kind, (whose, value) => {
       if (whose === name) show(value);
@@ -417,7 +366,7 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
     pressed = event.isPrimary ? [event.clientX, event.clientY] : null;
   });
   overlay.addEventListener("pointerup", (event) => {
-    if (pressed === null || Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) > TAP || gizmo.dragging) return;
+    if (pressed === null || Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) > TAP) return;
     store.select(name);
     const box = overlay.getBoundingClientRect();
     tap(event.clientX - box.left, event.clientY - box.top, box.width, box.height);
@@ -476,13 +425,13 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
 
   const fitted = new Box3();
 
-  /** Fit floor and camera to what is there now; the camera only while no person has moved it, nor drags a goal. */
+  /** Fit floor and camera to what is there now; the camera only while no person has moved it. */
   function refit() {
     const points = content();
     fitted.setFromPoints(points.map((point) => new Vector3(...point))).expandByScalar(0.1 * reachable);
     ground.cover(points, height);
     light();
-    if (chosen !== "" && chosen !== "tool" && gizmo.object === undefined) look(chosen, points);
+    if (chosen !== "" && chosen !== "tool") look(chosen, points);
     redraw();
   }
 
@@ -560,13 +509,6 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
     return [(projected.x + 1) / 2, (1 - projected.y) / 2];
   }
 
-  /** The way on the picture of the handle's own z axis, of a quarter of a metre. */
-  function screenAxis() {
-    const [x, y] = onScreen(handle.position);
-    const [u, v] = onScreen(new Vector3(0, 0, 0.25).applyQuaternion(handle.quaternion).add(handle.position));
-    return [u - x, v - y];
-  }
-
   /** Where the axes at the tool are drawn, and which way each of them points; null: they are not. */
   function toolFrame() {
     if (bodies === null || !bodies.twin.visible) return null;
@@ -586,13 +528,6 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
 
   return {
     name, scene, camera, state, look, labels,
-    /** Whether the handle moves the tool or turns it. */
-    get turns() {
-      return gizmo.mode === "rotate";
-    },
-    set turns(value) {
-      gizmo.setMode(value ? "rotate" : "translate");
-    },
     get ready() {
       return bodies !== null;
     },
@@ -615,7 +550,7 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
     /** What is drawn now, in which colours, for the legend. */
     drawn() {
       const is = (body) => bodies !== null && bodies[body].visible;
-      const {plan, goal} = robot() ?? {plan: null, goal: null};
+      const plan = robot()?.plan ?? null;
       const segments = path === null ? [] : plan.segments ?? [];
       const engaged = path === null ? [] : plan.tool_path.map((_, k) => isEngaged(segments, k));
       const some = (carried) => objects.some((each) => each.visible && each.userData.carried === carried);
@@ -625,7 +560,7 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
         both: covered && is("twin") ? twinColour : null,
         arm: is("arm") ? ghosts.arm.color.getHex() : null,
         plan: is("plan") ? colours.PLAN : null,
-        goal: is("goal") ? {colour: ghosts.goal.color.getHex(), reach: goal?.reach || null} : null,
+        goal: is("goal") ? colours.GOAL : null,
         path: path !== null && engaged.includes(false) ? colours.PATH : null,
         engaged: engaged.includes(true) ? colours.PATH_ENGAGED : null,
         ahead: played?.ahead.length ? colours.AHEAD : null,
@@ -649,19 +584,14 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
       result.waypoints = path === null ? 0 : path.userData.waypoints;
       result.played = played;
       result.armColour = ghosts.arm.color.getHex();
-      result.goalColour = ghosts.goal.color.getHex();
       result.objects = objects.map((each) => each.name);
       result.elements = building === null ? [] : [...building.elements].map(([element, {material}]) => [element, material.color.getHex()]);
       result.places = building === null ? {} : Object.fromEntries([...building.elements].map(
         ([element, {node}]) => [element, onScreen(new Box3().setFromObject(node).getCenter(new Vector3()))]));
-      result.handle = gizmo.object === undefined ? null
-        : {position: handle.position.toArray(), screen: onScreen(handle.position), axis: screenAxis(), mode: gizmo.mode};
       result.camera = {position: camera.position.toArray(), target: controls.target.toArray(), chosen};
       result.closest = closest.visible ? near : null;
       result.floor = {height: ground.position.z, half: ground.userData.half};
       result.frame = toolFrame();
-      result.reach = reach.visible ? reach.material.color.getHex() : null;
-      result.reachAt = reach.position.toArray();
       return result;
     },
   };

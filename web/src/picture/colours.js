@@ -28,12 +28,6 @@ export const BY_TASK = {
 export const NO_TASK = PENDING;
 export const PICKED = [0xff4fd8, 0.8];
 
-/** Of a goal by what the planner says of it. */
-export const BY_REACH = {__proto__: null, free: 0x1f9e4a, contact: 0xd97706, out: 0xd91f1a, unknown: 0x6b7280};
-
-/** Return the colour of a goal: of one that a person sets by `reach`, of a plan's ("") the goal's own. */
-export const goalColour = (reach) => (reach ? BY_REACH[reach] ?? BY_REACH.unknown : GOAL);
-
 export const PLAN = 0x2f7df6;
 export const GOAL = 0x0e9aa7;
 export const PATH = 0x2f7df6;

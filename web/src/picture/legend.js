@@ -9,13 +9,6 @@ const ELEMENTS = new Map([
   ...[["done", "done"], ["working", "moves"], ["ready", "ready"], ["asks", "person"], ["waiting", "waits"], ["skipped", "skipped"]]
     .map(([state, word]) => [colours.BY_TASK[state][0], GROUPS[word]]),
 ]);
-/** Words of the goal that a person sets, by whether it is reached. */
-const REACH = {
-  free: mark("goal can be reached"), contact: mark("goal touches something"), out: mark("goal is out of reach"),
-  unknown: mark("goal, not checked yet"),
-};
-const closestWords = ({ofPlan}) => (ofPlan ? mark("closest point of the plan: {distance} mm after {time} s ({between})")
-  : mark("closest point: {distance} mm ({between})"));
 
 /**
  * Return the entries.
@@ -29,17 +22,17 @@ export function entriesOf(drawn) {
   const add = (id, words, colour, form) => {
     if (colour !== null && colour !== undefined) entries.push({id, words, colour, form});
   };
-  const {goal, closest} = drawn;
+  const {closest} = drawn;
   add("both", mark("twin, and the arm as measured in the same place"), drawn.both, "body");
   add("twin", mark("twin"), drawn.twin, "body");
   add("arm", mark("arm as measured"), drawn.arm, "ghost");
   add("plan", mark("plan at the time shown"), drawn.plan, "ghost");
-  if (goal) add("goal", goal.reach === null ? mark("goal") : REACH[Object.hasOwn(REACH, goal.reach) ? goal.reach : "unknown"], goal.colour, "ghost");
+  add("goal", mark("goal"), drawn.goal, "ghost");
   add("path", mark("planned path of the tool"), drawn.path, "line");
   add("engaged", mark("path with the tool engaged"), drawn.engaged, "line");
   add("ahead", mark("path of the tool, still to go"), drawn.ahead, "line");
   add("travelled", mark("path of the tool, travelled"), drawn.travelled, "thin");
-  if (closest) add("closest", closestWords(closest), closest.colour, "point");
+  if (closest) add("closest", mark("closest point of the plan: {distance} mm after {time} s ({between})"), closest.colour, "point");
   add("tool", mark("tool frame: x red, y green, z blue"), drawn.tool, "axes");
   add("carried", mark("carried by the arm"), drawn.carried, "body");
   add("standing", mark("objects of the scene"), drawn.standing, "body");

@@ -110,12 +110,6 @@ export function make(parent, store, connection, texts) {
       for (const {cell} of shown()) if (shown().length === 1 || cell.name === store.selected) cell.look(view);
     });
   }
-  const turn = tool("turn", texts("Turn the goal"), () => {
-    const cell = cells.get(store.selected)?.cell;
-    if (cell) cell.turns = !cell.turns;
-    showBar();
-    redraw();
-  });
   const all = tool("all", texts("All robots"), () => {
     alone = !alone;
     arrange();
@@ -134,8 +128,6 @@ export function make(parent, store, connection, texts) {
   function showBar() {
     all.hidden = store.robots.length < 2 || width < NARROW;
     all.setAttribute("aria-pressed", String(!alone));
-    turn.hidden = !store.robot(store.selected)?.handle;
-    turn.setAttribute("aria-pressed", String(cells.get(store.selected)?.cell.turns ?? false));
   }
 
   function colour(name) {
@@ -260,7 +252,7 @@ export function make(parent, store, connection, texts) {
     const drawn = cells.get(store.selected)?.cell.drawn() ?? null;
     const entries = drawn === null ? [] : entriesOf(drawn);
     const values = drawn?.closest ? {
-      distance: millimetres(drawn.closest.distance), between: drawn.closest.between.join(" - "), time: (drawn.closest.time ?? 0).toFixed(1),
+      distance: millimetres(drawn.closest.distance), between: drawn.closest.between.join(" - "), time: drawn.closest.time.toFixed(1),
     } : {};
     const lines = entries.map(({id, words, colour: value, form}) => ({
       id, form, text: texts(words, values), colour: `#${value.toString(16).padStart(6, "0")}`,
@@ -321,7 +313,6 @@ export function make(parent, store, connection, texts) {
     arrange();
     redraw();
   });
-  store.on("handle", showBar);
   for (const kind of ["playback", "goal", "plan", "connection"]) store.on(kind, redraw);
   canvas.addEventListener("webglcontextlost", () => {
     lost = true;

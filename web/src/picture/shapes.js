@@ -187,7 +187,7 @@ export function isEngaged(segments, k) {
 }
 
 /** Return a ball of a colour that is seen through everything. */
-export function markerBall(radius, colour = 0xffffff) {
+export function markerBall(radius, colour) {
   const ball = new Mesh(new SphereGeometry(radius, 20, 14), new MeshBasicMaterial({color: colour, transparent: true, opacity: 0.75, depthTest: false}));
   ball.renderOrder = 3;
   ball.visible = false;

@@ -108,7 +108,7 @@ export function view(changes = {}) {
       late: 0, controller: null},
     execution: {state: "IDLE", reason: "", age: 1, plan_id: "", outcome: "", duration: 0, progress: 0, rate: null, speed_limit: 1,
       segment: null},
-    closest: null, plan: "", hold: null, approval_obstacle: "", overridable: false, speed: null, said: {},
+    plan: "", hold: null, approval_obstacle: "", overridable: false, speed: null, said: {},
     ...changes,
   };
 }

@@ -1,7 +1,7 @@
 """`view` on MQTT: the state of twin, arm, gate, link and execution in one message of plain JSON. Pure.
 
-Fixed by `View`, of which pydantic makes the JSON Schema (scripts/schemas.py); a change that a reader could notice raises `VERSION`,
-one that only adds keys keeps `COMPATIBLE`. SI: m, rad, s; times are numbers of seconds, because stamps in ns are larger than the
+Fixed by `View`, of which pydantic makes the JSON Schema (scripts/schemas.py); a change raises `VERSION`, one that only adds keys
+keeps `COMPATIBLE`. SI: m, rad, s; times are numbers of seconds, because stamps in ns are larger than the
 whole numbers that JavaScript keeps exactly.
 """
 
@@ -23,9 +23,9 @@ from construction_twin.core.sentences import SentenceTemplates, templates_of
 from construction_twin.core.units import NANOSECONDS, seconds
 from construction_twin.link.requests import Joints, rounded
 
-VERSION = 7
+VERSION = 8
 #: The oldest version whose readers can read this one.
-COMPATIBLE = 1
+COMPATIBLE = 8
 #: Decimals of positions [rad], [m] and of times [s].
 _POSITION, _TIME = 9, 6
 _UNITS = {"angle": "rad", "length": "m", "time": "s"}
@@ -34,7 +34,7 @@ _DIGITS = re.compile(r"-?\d{1,9}(?:\.\d{1,9})?")
 #: States of the executor in which the plan goes on.
 _MOVING = ("PLAYING", "STOPPING", "PAUSING")
 
-# what the schema says of a value besides its type; `since` is the version that has added it
+# what the schema says of a value besides its type
 _Number = Annotated[float, rounded(_POSITION)]
 _Count = Annotated[int, Field(ge=0)]
 _Seconds = Annotated[float, rounded(_TIME), SchemaKeywords(minimum=0)]
@@ -104,9 +104,9 @@ class LinkView:
     gateway_state: str
     gateway_kind: str
     responsible: str
-    round_trip_ms: Annotated[_Number | None, SchemaKeywords(since=2)]
-    late: Annotated[_Count | None, SchemaKeywords(since=2)]
-    controller: Annotated[ControllerView | None, SchemaKeywords(since=5)]
+    round_trip_ms: _Number | None
+    late: _Count | None
+    controller: ControllerView | None
 
 
 @dataclass(frozen=True)
@@ -165,56 +165,39 @@ class ExecutionView:
     progress: Annotated[_Number, SchemaKeywords(minimum=0, maximum=1)]
     rate: _Number | None
     speed_limit: _Number | None
-    segment: Annotated[SegmentNow | None, SchemaKeywords(since=2)]
-
-
-@dataclass(frozen=True)
-class ClosestView:
-    """The two bodies that are closest at the twin's pose, of those whose distance some joint changes; null: not measured.
-
-    Attributes:
-        distance: [m]; below 0: they overlap.
-        point: On the first of them, in the robot's base_link [m].
-    """
-
-    distance: _Number
-    between: Annotated[Sequence[str], Field(min_length=2, max_length=2)]
-    point: Annotated[Sequence[_Number], Field(min_length=3, max_length=3)]
-    age: _Seconds
+    segment: SegmentNow | None
 
 
 @dataclass(frozen=True)
 class View:
     """A message on <prefix>/<robot>/view: the state of one robot; docs/reference/mqtt.md says its keys. SI units: m, rad, s.
 
-    null: not known, or too old. An `age` is at `stamp` of the message, since what it stands beside was received [s]. Versions 2 to
-    7 add keys to version 1 and change none, `since` is the version of a key: a reader of version 1 that asks for `compatible` <= 1,
-    in place of `version` = 1, and leaves alone the keys that it does not know, reads it.
+    null: unknown, or too old. An `age` is at `stamp` of the message, since what it stands beside was received [s]. A reader of
+    version n reads what has `compatible` <= n, and ignores keys that it does not know.
     """
 
     version: Annotated[int, SchemaKeywords(const=VERSION)]
-    compatible: Annotated[int, SchemaKeywords(const=COMPATIBLE, since=2)]
+    compatible: Annotated[int, SchemaKeywords(const=COMPATIBLE)]
     robot: str
     online: bool
     run: str
     seq: _Count
     stamp: _Seconds
-    moment: Annotated[str, SchemaKeywords(pattern="^([0-9a-f]{8}-[0-9]{1,15})?$", since=3)]
+    moment: Annotated[str, SchemaKeywords(pattern="^([0-9a-f]{8}-[0-9]{1,15})?$")]
     units: Annotated[Mapping[str, str], SchemaKeywords(const=_UNITS)]
     joints: JointsView
     twin: PoseView | None
     arm: PoseView | None
-    expected: Annotated[PoseView | None, SchemaKeywords(since=6)]
+    expected: PoseView | None
     sync: SyncView | None
     link: LinkView | None
     execution: ExecutionView | None
-    plan: Annotated[str, SchemaKeywords(since=2)]
-    closest: Annotated[ClosestView | None, SchemaKeywords(since=2)]
-    hold: Annotated[HoldView | None, SchemaKeywords(since=4)]
-    approval_obstacle: Annotated[str, SchemaKeywords(since=4)]
-    speed: Annotated[SpeedView | None, SchemaKeywords(since=5)]
-    overridable: Annotated[bool, SchemaKeywords(since=7)]
-    said: Annotated[SentenceTemplates, SchemaKeywords(since=7)]
+    plan: str
+    hold: HoldView | None
+    approval_obstacle: str
+    speed: SpeedView | None
+    overridable: bool
+    said: SentenceTemplates
 
 
 #: Writes them, 25 a second: in a sixth of the time that `core.records` takes.
@@ -239,7 +222,6 @@ class ViewInputs:
     link: FreshReport[LinkReport] | None = None
     execution: FreshReport[ExecutionReport] | None = None
     plan: str = ""
-    closest: ClosestView | None = None
     progress: float = 0.0
     hold: HoldReport = HoldReport()
     speed: SpeedReport | None = None
@@ -288,7 +270,6 @@ class ViewWriter:
             ),
             execution=_part(ExecutionView, inputs.execution, progress=progress, segment=segment),
             plan=inputs.plan,
-            closest=inputs.closest,
             hold=HoldView(inputs.hold.cause, round(seconds(inputs.hold.since), _TIME)) if inputs.hold.cause else None,
             approval_obstacle=execution.approval_obstacle,
             overridable=execution.overridable,

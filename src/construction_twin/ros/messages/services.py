@@ -67,13 +67,12 @@ PLAN_SERVICES: Mapping[str, PlanService] = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a request, by the names of the services' answers; `counted` as, "": as done or not."""
+    """What became of a request, by the names of the services' answers."""
 
     success: bool
     message: str
     expired: bool = False
     fields: Mapping[str, object] = field(default_factory=dict)
-    counted: str = ""
 
     @classmethod
     def of(cls, answer: Any) -> Outcome:

@@ -19,7 +19,7 @@ from construction_twin import msg, srv
 from construction_twin.extensions.console.nodes.acts import Acts, Services
 from construction_twin.extensions.console.nodes.endpoint import Connection
 from construction_twin.extensions.console.nodes.feed import ARM, EXPECTED, TWIN, ConsoleFeed, deployment_of
-from construction_twin.extensions.console.nodes.requests import ConsoleRequests, PoseJudge, RobotContext
+from construction_twin.extensions.console.nodes.requests import ConsoleRequests
 from construction_twin.extensions.console.nodes.shown_plan import ShownPlan
 from construction_twin.extensions.console.private_files import PrivateFiles
 from construction_twin.extensions.console.remote_view import ViewWriter
@@ -54,12 +54,10 @@ class Settings(MqttSettings):
     """Private parameters; see config/console_node.yaml. Folders are relative to ROS_HOME, empty: none.
 
     Attributes:
-        self_collision: Empty: no joint values are found for poses that are dragged.
         private: Folder of what a console serves to whom is logged in.
     """
 
     trajectories: bool = True
-    self_collision: str = ""
     private: str = ""
     messages: str = ""
     servo_model: str = ""
@@ -99,7 +97,6 @@ class ConsoleNode:
             writer,
             node_io.poses,
             lambda: self.shown_plan.plan,
-            lambda: self.requests.closest(),
             lambda: node_io.connections("execution") > 0,
             deployment_of(node_io.parameters["startup"], rospy.get_namespace().rstrip("/")),
             files,
@@ -109,10 +106,10 @@ class ConsoleNode:
             joints,
             {kind: rospy.ServiceProxy(service.name, service.kind) for kind, service in PLAN_SERVICES.items()},
             rospy.ServiceProxy("plan_trajectory", srv.PlanTrajectory),
-            PoseJudge(robot, settings.self_collision, lambda: feed.scene),
-            RobotContext(feed.twin, lambda: node_io.connections("work/tasks") > 0, feed.is_engaged),
             connection,
             settings.max_trajectory_bytes if settings.trajectories else 0,
+            lambda: node_io.connections("work/tasks") > 0,
+            feed.is_engaged,
         )
         self._connect()
 
@@ -126,11 +123,7 @@ class ConsoleNode:
         """Carry out what is asked for, and show everything, until shutdown."""
         self.acts.start()
         viewer = threading.Thread(target=self.run_view, name="view", daemon=True)
-        threads = {
-            "connections": self.acts.run_connections,
-            "log": self._run_log,
-            "ik": lambda: self.requests.run(bool(self._settings.private)),
-        }
+        threads = {"connections": self.acts.run_connections, "log": self._run_log}
         for each in (*(threading.Thread(target=run, name=name, daemon=True) for name, run in threads.items()), viewer):
             each.start()
         while not rospy.is_shutdown():

@@ -64,9 +64,7 @@ class Connection:
         #: Takes a part's name, the part and its arguments; returns what the part returns, or None where it failed.
         self.run_side_effect = self.side_effects.run
 
-    def serve(
-        self, kind: RequestKind, read: Reader, act: Handler, queue: RequestQueue | NewestQueue | None = None
-    ) -> None:
+    def serve(self, kind: RequestKind, read: Reader, act: Handler, queue: RequestQueue | None = None) -> None:
         """Serve a kind of request, as of `Endpoint`."""
         self.endpoints.append(Endpoint(self, kind, read, act, queue))
 
@@ -77,9 +75,8 @@ class Connection:
         topic_handlers: Mapping[str, Callable[[MQTTMessage], None]] = MappingProxyType({}),
     ) -> None:
         """Connect, as of `mqtt_connection`; `topic_handlers`: what takes the messages of further topics."""
-        topics = [*((topic, 1) for topic in topic_handlers), *((each.topic, each.kind.qos) for each in self.endpoints)]
-
         on_message = {**topic_handlers, **{endpoint.topic: endpoint.on_message for endpoint in self.endpoints}}
+        topics = [(topic, 1) for topic in on_message]
         connect(self._client, self._broker, self._state, topics, first, on_message, then)
 
     def disconnect(self) -> None:
@@ -102,10 +99,9 @@ class Connection:
         if self._client.is_connected():
             self._client.publish(topic, payload, qos=qos, retain=retain)
 
-    def answer(self, topic: str, payload: bytes, qos: int) -> None:
-        """Publish an answer; one that is acknowledged is sent later where there is no connection now."""
-        if qos or self._client.is_connected():
-            self._client.publish(topic, payload, qos=qos)
+    def answer(self, topic: str, payload: bytes) -> None:
+        """Publish an answer, later where there is no connection now."""
+        self._client.publish(topic, payload, qos=1)
 
     def count(self, kind: RequestKind, word: str) -> None:
         """Count what became of a request."""
@@ -137,7 +133,7 @@ class Endpoint:
     kind: RequestKind
     read: Reader
     act: Handler
-    queue: RequestQueue | NewestQueue | None
+    queue: RequestQueue | None
     malformed: SenderLimits = field(default_factory=answer_limits)
 
     @property
@@ -207,11 +203,10 @@ class IncomingRequest:
         answer = b""
         if refused is None or refused.reason != REPEATED:
             answer = self._answer(outcome)
-            self.count(outcome.counted or ("taken" if outcome.success else "not taken"))
+            self.count("taken" if outcome.success else "not taken")
         if refused is not None:
             self.count_refusal(refused.reason, str(refused))
-        if self.kind.qos:
-            self._connection.run_side_effect("the log", self._log, outcome.message)
+        self._connection.run_side_effect("the log", self._log, outcome.message)
         return answer
 
     def refuse_unread(self, error: PayloadError) -> None:
@@ -250,61 +245,17 @@ class IncomingRequest:
         return answer
 
     def _payload_of(self, outcome: Outcome) -> bytes:
-        said = dict.fromkeys(("reason", "sentence"), outcome.message)
-        done = {"ok": outcome.success, "expired": outcome.expired, "by": self.kind.by}
-        return self.kind.payload(**{**self.identity, **said, **done, **outcome.fields})
+        done = {"ok": outcome.success, "reason": outcome.message, "expired": outcome.expired, "by": self.kind.by}
+        return self.kind.payload(**{**self.identity, **done, **outcome.fields})
 
     def _publish(self, answer: bytes) -> None:
-        if self.kind.is_answered_to(self.account):
-            topic = self._connection.topics.ack_of(self.kind, self.account)
-            self._connection.run_side_effect("the answer", self._connection.answer, topic, answer, self.kind.qos)
+        topic = self._connection.topics.ack_of(self.kind)
+        self._connection.run_side_effect("the answer", self._connection.answer, topic, answer)
 
     def _log(self, sentence: str) -> None:
         known = (pair for pair in self.identity.items() if pair[0] == "account" or pair[1] not in ("", self.account))
         words = ", ".join(map(" ".join, known))
         self._connection.log.add(rospy.loginfo, "%s by MQTT (%s): %s", self.kind.name, words, sentence)
-
-
-class NewestQueue:
-    """A queue in which only the newest request of each sender waits, and what comes too often gets no answer.
-
-    Args:
-        most: Senders that may wait at once.
-    """
-
-    def __init__(self, most: int, pace: Pace):
-        self._most, self._pace, self._limits = most, pace, SenderLimits(pace)
-        self._news = threading.Condition()
-        self._waiting: dict[str, IncomingRequest] = {}
-
-    def admits(self, request: IncomingRequest) -> bool:
-        """Return whether a request is worth reading; what is not was counted."""
-        fits = self._limits.admit(request.account, _now_ns())
-        if not fits:
-            name = request.kind.name
-            request.count_refusal(f"{name}_rate", f"{name} too often from {request.account}: {self._pace}")
-        return fits
-
-    def enqueue(self, request: IncomingRequest) -> None:
-        """Queue a request in place of its sender's former one, or answer why not."""
-        with self._news:
-            former = self._waiting.get(request.account)
-            fits = former is not None or len(self._waiting) < self._most
-            if fits:
-                self._waiting[request.account] = request
-                self._news.notify_all()
-        if former is not None:
-            former.count("overtaken")
-        if not fits:
-            request.refuse("busy", f"{self._most} accounts drag poses already; try again")
-
-    def run(self, patience: float = 0.0) -> None:
-        """Carry out all that wait; wait so long [s] for the first one."""
-        with self._news:
-            self._news.wait_for(lambda: self._waiting, patience)
-            waiting, self._waiting = self._waiting, {}
-        for request in waiting.values():
-            request.carry_out()
 
 
 class RequestQueue:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -38,7 +38,6 @@ from construction_twin.extensions.console.nodes.shown_plan import PATH_POINTS, s
 from construction_twin.extensions.console.private_files import PrivateFiles
 from construction_twin.extensions.console.remote_review import PathView, scene_view
 from construction_twin.extensions.console.remote_view import (
-    ClosestView,
     FreshReport,
     PlanProgress,
     PoseView,
@@ -124,7 +123,6 @@ class ConsoleFeed:
         writer: ViewWriter,
         poses: Mapping[str, LatestPose],
         plan: Callable[[], str] = lambda: "",
-        closest: Callable[[], ClosestView | None] = lambda: None,
         executor_is_there: Callable[[], bool] = lambda: True,
         deployment: Deployment | None = None,
         files: PrivateFiles | None = None,
@@ -133,7 +131,7 @@ class ConsoleFeed:
     ):
         self._topics, self._base_link = connection.topics, base_link
         self._connection, self._writer, self._poses = connection, writer, poses
-        self._plan, self._closest, self._executor_is_there = plan, closest, executor_is_there
+        self._plan, self._executor_is_there = plan, executor_is_there
         self._deployment, self._files = deployment, files
         # of the plan's progress, of the writer, of what is retained
         self._lock, self._writing, self._publishing = threading.Lock(), threading.Lock(), threading.RLock()
@@ -266,16 +264,6 @@ class ConsoleFeed:
             self._retained[topic] = payload
             self._connection.publish(topic, payload, retain=True)
 
-    @property
-    def scene(self) -> Scene | None:
-        """The present scene; None while it is not known."""
-        return self._scene
-
-    def twin(self) -> Sequence[float]:
-        """Return the twin's joint values [rad], [m]; empty while they are not known."""
-        pose = _pose_view(self._poses.get(TWIN))
-        return pose.positions if pose is not None else ()
-
     def is_engaged(self) -> bool:
         """Return whether only the way back can be planned."""
         execution = self._execution.fresh()
@@ -314,7 +302,6 @@ class ConsoleFeed:
             link=self._link.fresh(LINK_AGE),
             execution=execution,
             plan=self._plan(),
-            closest=self._closest(),
             progress=progress,
             hold=self._hold if sync is not None else HoldReport(),
             speed=speed.report if speed is not None else None,
