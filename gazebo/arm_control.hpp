@@ -56,7 +56,7 @@ struct Joint {
   double armature, damping, friction;  // of motor and gear, seen from the axis
 };
 
-// Read a chain: gravity (3 numbers), then per joint its name and 29 numbers; physics/gazebo_world.py writes it.
+// Read a chain: gravity (3 numbers), then per joint its name and 29 numbers; physics/nodes/gazebo.py writes it.
 struct Chain {
   Vector gravity;
   std::vector<Joint> joints;

@@ -27,13 +27,11 @@ class InverseDynamics:
         physics, data = self._physics, self._data
         model, joints = physics.model, physics.joints
         data.qpos[joints], data.qvel[joints] = q, speed
-        physics.set_followers(data)
         data.qacc[joints] = acceleration
-        physics.set_follower_rates(data.qacc)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
         mujoco.mj_rne(model, data, 1, self._forces)
         rate, growth = np.asarray(speed, dtype=float), np.asarray(acceleration, dtype=float)
         rubbing = self._friction * np.clip(rate / CREEPING, -1.0, 1.0)
-        return physics.of_joints(self._forces) + self._armature * growth + self._damping * rate + rubbing
+        return self._forces[joints] + self._armature * growth + self._damping * rate + rubbing

@@ -15,13 +15,12 @@ from inverse_dynamics import InverseDynamics
 from simulation import SimulatedChain
 
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS
-from construction_twin.extensions.physics.arm import Plant, bare_model
 from construction_twin.extensions.physics.commands.identify import recorded_motions
 from construction_twin.extensions.physics.drive import drives_of as urdf_drives
 from construction_twin.extensions.physics.drive import read_drives
 from construction_twin.extensions.physics.identification import IdentifiedJoint, identify
 from construction_twin.extensions.physics.mass import payload_of
-from construction_twin.extensions.physics.mock_servo import PhysicsServo
+from construction_twin.extensions.physics.mock_servo import PhysicsServo, Plant, bare_model
 from construction_twin.mock.faults import Fault
 from construction_twin.mock.program import MockSettings, axis_angles, build_controller, joint_angles
 from construction_twin.mock.servo import RealisticServo, Servo

@@ -7,7 +7,6 @@ import pinocchio
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from inverse_dynamics import InverseDynamics
 from physics_samples import READY, between, bodies_of, drives, dynamics_of, model_of, robot_of
 
 from construction_twin.core.units import CYCLE
@@ -59,30 +58,6 @@ def test_the_torque_of_a_motion_is_that_of_pinocchio_s_inverse_dynamics(name):
     difference = np.array(found)[5:-5] - np.array(expected)[5:-5]
     scale = np.sqrt(np.mean(np.array(expected) ** 2))
     assert np.sqrt(np.mean(difference**2)) < 0.01 * scale
-
-
-def test_a_leader_gives_the_torque_of_what_follows_it_too():
-    # a shoulder that turns cylinder and piston of its counterbalance
-    name = "balanced_like"
-    assert bodies_of(name).followers
-    start = np.array(robot_of(name).home)
-    physics = model_of(name)
-    arm, dynamics = SimulatedArm(physics, start, Servo(saturates=False)), InverseDynamics(physics)
-    path, found = [arm.q], []
-    for setpoint in between(start, start + 0.3, 1.5, name).sample_many(cycles(1.5))[0]:
-        for _step in arm.steps(setpoint):
-            found.append(arm.needed)
-            path.append(arm.q)
-        # the two are moved as the shoulder moves them, and do not pull it away
-        assert np.abs(arm.q - arm.answer).max() < 1e-3
-    speed = np.gradient(path[:-1], 0.001, axis=0)
-    motion = zip(path, speed, np.gradient(speed, 0.001, axis=0))
-    expected = np.array([dynamics.torques(*state) for state in motion])
-    difference = (np.array(found) - expected)[5:-5]
-    assert np.sqrt(np.mean(difference**2)) < 0.002 * np.sqrt(np.mean(expected**2))
-    # without them the shoulder needs another torque
-    alone, still = InverseDynamics(replace(physics, shares=None)), np.zeros(6)
-    assert np.abs(alone.torques(start, still, still) - dynamics.torques(start, still, still)).max() > 0.1
 
 
 def test_friction_damping_and_the_motors_inertia_cost_what_the_file_says():

@@ -17,7 +17,7 @@ from physics_samples import OTHERS, READY, ROOT, between, bodies_of, drives, dyn
 
 from construction_twin.core.units import CYCLE
 from construction_twin.extensions.physics.arm import Servo, SimulatedArm
-from construction_twin.extensions.physics.gazebo_world import world_of
+from construction_twin.extensions.physics.nodes.gazebo import world_of
 from construction_twin.mock.servo import RealisticServo
 from construction_twin.scene.objects import Scene
 from construction_twin.servo.model import transition_matrix

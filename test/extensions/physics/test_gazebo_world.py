@@ -16,8 +16,8 @@ from physics_samples import OTHERS, ROOT, bodies_of, drives, pairs_of
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.physics.drive import drives_of
-from construction_twin.extensions.physics.gazebo_world import PLUGIN, GazeboWorld, world_of
 from construction_twin.extensions.physics.model import build_model
+from construction_twin.extensions.physics.nodes.gazebo import PLUGIN, GazeboWorld, world_of
 from construction_twin.robot.description import load_robot
 from construction_twin.robot.new_robot import new_description
 from construction_twin.scene.collision_bodies import RobotBodies

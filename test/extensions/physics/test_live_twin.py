@@ -8,8 +8,8 @@ import numpy as np
 from chain_samples import REACH, ROBOT
 from physics_samples import SHIPPED, carrying, model_in
 
-from construction_twin.extensions.physics.live_twin import LiveTwin
 from construction_twin.extensions.physics.model import PhysicsModel
+from construction_twin.extensions.physics.nodes.simulated_twin import LiveTwin
 from construction_twin.scene.objects import SceneObject
 
 HOME = ROBOT.home

@@ -18,7 +18,7 @@ from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.self_collision import SelfCollision
 
-ARMS = ("kr120", "kr120_track", *OTHERS, "ur_like_gripper", "balanced_like", "endless_like")
+ARMS = ("kr120", "kr120_track", *OTHERS, "ur_like_gripper", "endless_like")
 #: Those of the URDFs that say what their links weigh.
 WEIGHED = ("kr120", "kr120_track", "ur_like", "ur_like_gripper")
 TABLE = SceneObject("table", "box", (1.0, 1.0, 0.6), (1.6, 0.0, 0.3))

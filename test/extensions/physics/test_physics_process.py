@@ -8,7 +8,7 @@ from chain_samples import ROBOT
 from physics_samples import DRIVES, ROOT, SHIPPED, carrying, model_in
 
 from construction_twin.core.worker import Worker, WorkerError
-from construction_twin.extensions.physics.live_twin import LiveTwin
+from construction_twin.extensions.physics.nodes.simulated_twin import LiveTwin
 from construction_twin.extensions.physics.process import PROGRAM
 from construction_twin.scene.objects import SceneObject
 

@@ -7,8 +7,8 @@ import pytest
 from physics_samples import READY, bodies_of, drives
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.extensions.physics.arm import Plant, bare_model
 from construction_twin.extensions.physics.mass import payload_of
+from construction_twin.extensions.physics.mock_servo import Plant, bare_model
 
 PAYLOAD = (60.0, 0.0, 0.0, 0.2)
 FAST = 60.0, 0.8

@@ -8,7 +8,7 @@ import pytest
 from physics_samples import READY, between, bricks, rehearse, robot_of
 from scene_samples import FLOOR
 
-from construction_twin.extensions.physics.standing import MOST, nearest_bodies
+from construction_twin.extensions.physics.rehearsal import MOST, nearest_bodies
 from construction_twin.kinematics.chain import Chain
 from construction_twin.review.rehearsal_report import FAILED, PASSED, RehearsalReport
 from construction_twin.scene.objects import Scene, SceneObject

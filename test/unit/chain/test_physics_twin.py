@@ -11,7 +11,7 @@ from physics_samples import model_in
 
 from construction_twin.core.units import CYCLE
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.extensions.physics.live_twin import LiveTwin
+from construction_twin.extensions.physics.nodes.simulated_twin import LiveTwin
 from construction_twin.mock.faults import Fault
 from construction_twin.monitor.comparison import Comparison
 from construction_twin.monitor.states import SyncState

@@ -20,8 +20,8 @@ from piece_checks import distances, lost
 from scene_samples import box_triangles, bracket_triangles, write_obj, write_stl
 from scipy.spatial import ConvexHull
 
-from construction_twin.extensions.physics.gazebo_world import world_of
 from construction_twin.extensions.physics.model import Load, PhysicsModel
+from construction_twin.extensions.physics.nodes.gazebo import world_of
 from construction_twin.kinematics.chain import Chain
 from construction_twin.robot.frames import rotation_to_quaternion
 from construction_twin.scene import convex_pieces as module

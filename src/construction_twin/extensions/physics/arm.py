@@ -15,13 +15,8 @@ import mujoco
 import numpy as np
 
 from construction_twin.core.units import CYCLE
-from construction_twin.extensions.physics.drive import ArmDrives
-from construction_twin.extensions.physics.mass import MassProperties
-from construction_twin.extensions.physics.model import Load, PhysicsModel, build_model
+from construction_twin.extensions.physics.model import PhysicsModel
 from construction_twin.robot.description import JointValues
-from construction_twin.scene.collision_bodies import RobotBodies
-from construction_twin.scene.objects import Scene
-from construction_twin.scene.self_collision import SelfCollision
 from construction_twin.servo.model import transition_matrix
 
 #: Of the lag, as of `mock.servo.RealisticServo`: natural frequency [rad/s] and damping.
@@ -93,21 +88,18 @@ class SimulatedArm:
         """Have the arm move already, shape (n,) [rad/s]."""
         self._speed = np.array(speed, dtype=float)
         self.data.qvel[self._joints] = speed
-        self.physics.set_followers(self.data)
 
     def freeze(self, joint: int, position: float) -> None:
         """Put one joint at rest at `position` [rad], [m], in the arm and in the servo's answer; the others go on."""
         place = self._joints[joint]
         self.answer[joint], self._speed[joint] = position, 0.0
         self.data.qpos[place], self.data.qvel[place] = position, 0.0
-        self.physics.set_followers(self.data)
 
     def continue_from(self, before: SimulatedArm) -> None:
         """Continue with pose, speed and servo state of an arm in another scene."""
         self.answer, self._speed, self.setpoint = before.answer.copy(), before._speed.copy(), before.setpoint.copy()
         self.data.qpos[self._joints] = before.q
         self.data.qvel[self._joints] = before.data.qvel[before._joints]
-        self.physics.set_followers(self.data)
 
     def speeds_of(self, body: str) -> np.ndarray:
         """Return where the speed of a loose body is among MuJoCo's, shape (6,)."""
@@ -154,7 +146,7 @@ class SimulatedArm:
         # positions, inertias and forces of this moment, which the torques below are calculated from
         mujoco.mj_step1(self._model, data)
         motion, correction = wanted @ physics.inertia(data)
-        self.needed = motion + physics.of_joints(data.qfrc_bias) + friction
+        self.needed = motion + data.qfrc_bias[joints] + friction
         self.torque = self.needed + correction
         if self._limit is not None:
             self.torque = np.minimum(np.maximum(self.torque, -self._limit), self._limit)
@@ -201,12 +193,11 @@ class GravityTorque:
         mujoco.mj_comPos(model, own)
         mujoco.mj_comVel(model, own)
         mujoco.mj_rne(model, own, 0, self._product)
-        return self._physics.of_joints(self._product)
+        return self._product[self._physics.joints]
 
     def kinetic(self, data: mujoco.MjData) -> float:
         """Return the kinetic energy of the arm with what it carries [J]; what falls or is pushed is none of it."""
         self._speed[self._physics.joints] = data.qvel[self._physics.joints]
-        self._physics.set_follower_rates(self._speed)
         mujoco.mj_mulM(self._physics.model, data, self._product, self._speed)
         return 0.5 * float(self._speed @ self._product)
 
@@ -214,40 +205,3 @@ class GravityTorque:
 def is_broken(data: mujoco.MjData) -> bool:
     """Return whether the numbers are no motion any more; MuJoCo itself starts anew then, and counts."""
     return not np.isfinite(data.qpos).all() or any(data.warning[kind].number for kind in _BROKEN)
-
-
-def bare_model(bodies: RobotBodies, drives: ArmDrives, flange: MassProperties | None = None) -> PhysicsModel:
-    """Return the model of an arm with nothing around it; `flange`: a payload in the frame of the tip link."""
-    return build_model(bodies, Scene(), SelfCollision({}, ""), drives, Load(flange=flange), contacts=False)
-
-
-class Plant:
-    """An arm in empty space that can be pushed: what the mock controller moves; `omega`, `zeta` as in `Servo`."""
-
-    def __init__(self, model: PhysicsModel, omega: float, zeta: float):
-        self._model, self._servo = model, Servo(omega, zeta, holds=True)
-        self._push = np.zeros(len(model.drives.torque))
-        self.place(np.zeros(len(self._push)))
-
-    @property
-    def q(self) -> np.ndarray:
-        """Where the joints are, shape (n,) [rad], [m]."""
-        return self._arm.q
-
-    def place(self, q: JointValues) -> None:
-        """Stand at rest at `q`, shape (n,), pushed as before."""
-        self._arm = SimulatedArm(self._model, np.asarray(q, dtype=float), self._servo)
-        self._arm.push = self._push
-
-    def hold(self, joint: int, position: float) -> None:
-        """Put one joint at rest at `position` [rad], [m]; the others go on."""
-        self._arm.freeze(joint, position)
-
-    def push(self, joint: int, torque: float) -> None:
-        """Have something push on one joint with this torque [N m], [N], until it is 0 again."""
-        self._push[joint] = torque
-
-    def cycle(self, setpoint: np.ndarray, cycles: int = 1) -> None:
-        """Advance so many cycles of 4 ms to a setpoint, shape (n,)."""
-        for _ in range(cycles):
-            self._arm.cycle(setpoint)

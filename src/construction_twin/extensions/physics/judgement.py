@@ -1,24 +1,30 @@
-"""When a rehearsal has failed: what was found, against what the arm may carry and give, and how far things may move. SI."""
+"""What a plan asks of the arm, against what that may carry and give, and when a rehearsal has failed. SI."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 
 from construction_twin.core.sentences import Quantity, Sentence
-from construction_twin.core.units import axis_name
-from construction_twin.extensions.physics.drive import PayloadRating
+from construction_twin.core.units import CYCLE, axis_name
+from construction_twin.extensions.physics.arm import GravityTorque, Servo, SimulatedArm, is_broken
+from construction_twin.extensions.physics.drive import ArmDrives, PayloadRating
 from construction_twin.extensions.physics.mass import MassProperties
-from construction_twin.review.rehearsal_report import PayloadLoad, RehearsalReport
+from construction_twin.extensions.physics.model import PhysicsModel
+from construction_twin.review.rehearsal_report import AxisLoad, Braking, PayloadLoad, RehearsalReport
+from construction_twin.robot.description import RobotModel
 from construction_twin.scene.collision_bodies import RobotBodies
 
 #: An object stays where it is when it moves and turns by no more than this [m], [rad].
 STAYS, STAYS_TURNED = 0.005, math.radians(1.0)
 #: For so long what was let go is watched [s].
 SETTLING = 2.0
+#: Longest time that braking may take [s].
+_LONGEST_BRAKING = 10.0
 #: The arm is off its setpoint by more than this, beyond its lag, when something holds it [rad], [m].
 LARGEST_TRACKING = math.radians(0.5)
 
@@ -131,3 +137,99 @@ def worst_payload(payloads: Sequence[MassProperties], bodies: RobotBodies, ratin
     mass, across, along, inertia = (numbers[number][kind] for kind, number in enumerate(worst))
     estimated = any(payloads[number].estimated for number in worst)
     return replace(rated, mass=mass, estimated=estimated, across=across, along=along, inertia=inertia)
+
+
+class Track:
+    """The arm's way through a plan, cycle by cycle. SI.
+
+    Attributes:
+        torques: The largest that each axis needed in a cycle.
+        speeds, poses: At its end.
+        gravity: Torques that would hold the arm still there.
+        usages: The largest fraction of an axis' torque.
+        off: Furthest that each axis was off its setpoint, without the servo's lag, until now.
+    """
+
+    def __init__(self, drives: ArmDrives):
+        self._drives = drives
+        self.limit = np.array([torque or math.inf for torque in drives.torque])
+        self.torques: list[np.ndarray] = []
+        self.speeds: list[np.ndarray] = []
+        self.poses: list[np.ndarray] = []
+        self.gravity: list[np.ndarray] = []
+        self.usages: list[float] = []
+        self.kinetic: list[float] = []
+        self.off = np.zeros(len(self.limit))
+
+    def record_cycle(self, arm: SimulatedArm, peak: np.ndarray, gravity: GravityTorque) -> None:
+        """Record a cycle, with the largest torque of each axis in it."""
+        q = arm.q
+        self.torques.append(peak)
+        self.speeds.append(arm.data.qvel[arm.physics.joints].copy())
+        self.poses.append(q)
+        self.gravity.append(gravity.at(arm.data))
+        self.usages.append(float((np.abs(peak) / self.limit).max()))
+        self.kinetic.append(gravity.kinetic(arm.data))
+        np.maximum(self.off, np.abs(q - arm.answer), out=self.off)
+
+    def axes(self, names: Sequence[str], times: np.ndarray) -> tuple[AxisLoad, ...]:
+        """Return what each axis had to give; `times`: of the cycles [s]."""
+        torques, gravity = np.array(self.torques), np.array(self.gravity)
+        found = []
+        for joint, name in enumerate(names):
+            at = int(np.argmax(np.abs(torques[:, joint])))
+            peak = float(abs(torques[at, joint]))
+            found.append(
+                AxisLoad(
+                    name,
+                    peak,
+                    float(times[at]),
+                    float(np.sqrt(np.mean(torques[:, joint] ** 2))),
+                    float(abs(gravity[at, joint]) / peak) if peak else 0.0,
+                    self._drives.torque[joint] or 0.0,
+                    "torque" in self._drives.estimates,
+                )
+            )
+        return tuple(found)
+
+    def energy(self) -> float:
+        """Return what the drives have put in [J]."""
+        return float(np.sum(np.abs(np.array(self.torques) * np.array(self.speeds))) * CYCLE)
+
+
+def braking(track: Track, robot: RobotModel, model_at: Callable[[float], PhysicsModel]) -> Braking:
+    """Stop the arm at the moment of its largest kinetic energy, all axes in the time that the slowest needs.
+
+    `model_at`: Returns the arm at a time of the plan [s], with nothing loose.
+    """
+    number = int(np.argmax(track.kinetic))
+    speed, begin = track.speeds[number], track.poses[number]
+    seconds = float(np.max(np.abs(speed) / np.array(robot.acceleration)))
+    if seconds <= 0.0 or not math.isfinite(seconds):
+        return Braking(time=number * CYCLE)
+    # how far the arm goes on, whatever stands in the way
+    physics = model_at(number * CYCLE)
+    physics.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    arm = SimulatedArm(physics, begin, Servo(saturates=False))
+    arm.begin_with(speed)
+    flange, usage, step = _flange(arm), 0.0, physics.model.opt.timestep
+    # from `speed` to rest at a steady rate
+    passed = np.arange(1, round(min(seconds, _LONGEST_BRAKING) / step) + 1)[:, None] * step
+    left = np.maximum(0.0, 1.0 - passed / seconds)
+    answers = begin + speed * seconds * (1.0 - left**2) / 2.0
+    speeds = np.diff(np.vstack((begin, answers)), axis=0) / step
+    accelerations = np.diff(np.vstack((speed, speeds)), axis=0) / step
+    for _step in arm.follow(answers, speeds, accelerations):
+        usage = float(np.maximum(usage, (np.abs(arm.needed) / track.limit).max()))
+    if is_broken(arm.data):
+        usage = math.nan
+    way = np.abs(arm.q - begin)
+    joint = int(np.argmax(way))
+    distance = float(np.linalg.norm(_flange(arm) - flange))
+    return Braking(number * CYCLE, seconds, distance, robot.joint_names[joint], float(way[joint]), usage)
+
+
+def _flange(arm: SimulatedArm) -> np.ndarray:
+    """Return where the last joint's frame is, shape (3,) [m]."""
+    joint = arm.physics.robot.joint_names[-1]
+    return arm.data.body(f"joint\n{joint}").xpos.copy()

@@ -108,6 +108,13 @@ def of_object(pieces: Sequence[Body]) -> MassProperties:
     return parts[0] if len(parts) == 1 else combined(parts)
 
 
+def check_serial(bodies: RobotBodies) -> None:
+    """Raise a ConfigurationError for an arm with a joint that follows another: one serial chain is simulated."""
+    names = [name for index, name in enumerate(bodies.model.names) if index and name not in bodies.robot.joint_names]
+    if names:
+        raise ConfigurationError("URDF", ", ".join(names), "an arm of which no joint follows another")
+
+
 def of_link(bodies: RobotBodies, index: int) -> tuple[MassProperties, list[str]]:
     """Return what the links of a joint weigh, in its frame, and remarks.
 

@@ -7,9 +7,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from construction_twin.core.units import CYCLE
-from construction_twin.extensions.physics.arm import Plant, bare_model
-from construction_twin.extensions.physics.drive import read_drives
-from construction_twin.extensions.physics.mass import payload_of
+from construction_twin.extensions.physics.arm import Servo as ArmServo
+from construction_twin.extensions.physics.arm import SimulatedArm
+from construction_twin.extensions.physics.drive import ArmDrives, read_drives
+from construction_twin.extensions.physics.mass import MassProperties, payload_of
+from construction_twin.extensions.physics.model import Load, PhysicsModel, build_model
 from construction_twin.mock.program import (
     RESOLUTION,
     SERVO_OMEGA,
@@ -19,8 +21,47 @@ from construction_twin.mock.program import (
     joint_angles,
 )
 from construction_twin.mock.servo import Servo, read_encoder
-from construction_twin.robot.description import RobotModel
+from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.scene.collision_bodies import RobotBodies
+from construction_twin.scene.objects import Scene
+from construction_twin.scene.self_collision import SelfCollision
+
+
+def bare_model(bodies: RobotBodies, drives: ArmDrives, flange: MassProperties | None = None) -> PhysicsModel:
+    """Return the model of an arm with nothing around it; `flange`: a payload in the frame of the tip link."""
+    return build_model(bodies, Scene(), SelfCollision({}, ""), drives, Load(flange=flange), contacts=False)
+
+
+class Plant:
+    """An arm in empty space that can be pushed; `omega`, `zeta` as in `arm.Servo`."""
+
+    def __init__(self, model: PhysicsModel, omega: float, zeta: float):
+        self._model, self._servo = model, ArmServo(omega, zeta, holds=True)
+        self._push = np.zeros(len(model.drives.torque))
+        self.place(np.zeros(len(self._push)))
+
+    @property
+    def q(self) -> np.ndarray:
+        """Where the joints are, shape (n,) [rad], [m]."""
+        return self._arm.q
+
+    def place(self, q: JointValues) -> None:
+        """Stand at rest at `q`, shape (n,), pushed as before."""
+        self._arm = SimulatedArm(self._model, np.asarray(q, dtype=float), self._servo)
+        self._arm.push = self._push
+
+    def hold(self, joint: int, position: float) -> None:
+        """Put one joint at rest at `position` [rad], [m]; the others go on."""
+        self._arm.freeze(joint, position)
+
+    def push(self, joint: int, torque: float) -> None:
+        """Have something push on one joint with this torque [N m], [N], until it is 0 again."""
+        self._push[joint] = torque
+
+    def cycle(self, setpoint: np.ndarray, cycles: int = 1) -> None:
+        """Advance so many cycles of 4 ms to a setpoint, shape (n,)."""
+        for _ in range(cycles):
+            self._arm.cycle(setpoint)
 
 
 class PhysicsServo(Servo):

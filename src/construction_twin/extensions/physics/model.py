@@ -21,6 +21,7 @@ from construction_twin.extensions.physics.mass import (
     GRAVITY,
     STEP,
     MassProperties,
+    check_serial,
     combined,
     of_link,
     of_object,
@@ -39,16 +40,6 @@ _CONTACT = (0.004, 1.0)
 mujoco.set_mju_user_warning(lambda _message: None)
 
 
-@dataclass(frozen=True)
-class MimicJoint:
-    """A joint that follows another: ``factor`` times its value, plus ``offset`` [rad] or [m]."""
-
-    place: int
-    leader: int
-    factor: float
-    offset: float
-
-
 @dataclass(frozen=True, eq=False)
 class PhysicsModel:
     """A compiled model and where its numbers are.
@@ -57,10 +48,7 @@ class PhysicsModel:
         joints: Shape (n,). Place of each of ``robot.joint_names`` in MuJoCo's arrays.
         owners: Of each geom: the link or scene object that it belongs to.
         loose: Position of each loose body (`Load.loose`) in MuJoCo's arrays of positions: 7 numbers from there.
-        shares: Shape (joints of the arm, n). How fast each joint of the arm, its followers too, turns per joint of the chain; None:
-            nothing follows.
-        inertias, related: Shape (m, m), m joints of the arm, n where nothing follows. Where two joints' inertia is in MuJoCo's
-            sparse matrix, and whether it is there.
+        inertias, related: Shape (n, n). Where two joints' inertia is in MuJoCo's sparse matrix, and whether it is there.
         unplanned: Shape (geoms, geoms). Which contacts the planner would have refused.
         payload: What the flange carries, tool and objects, in the frame of the last joint; None: nothing.
         remarks: What is simulated otherwise than the planner checks it, and what is an estimate, one sentence each.
@@ -72,8 +60,6 @@ class PhysicsModel:
     drives: ArmDrives
     owners: tuple[str, ...]
     loose: Mapping[str, int]
-    followers: tuple[MimicJoint, ...]
-    shares: np.ndarray | None
     inertias: np.ndarray
     related: np.ndarray
     unplanned: np.ndarray
@@ -84,29 +70,12 @@ class PhysicsModel:
         """Return a state at rest with the arm at `q`, shape (n,) [rad] or [m]."""
         data = mujoco.MjData(self.model)
         data.qpos[self.joints] = q
-        self.set_followers(data)
         mujoco.mj_forward(self.model, data)
         return data
 
-    def set_followers(self, data: mujoco.MjData) -> None:
-        """Set pose and speed of the joints that follow another."""
-        for one in self.followers:
-            data.qpos[one.place] = one.offset + one.factor * data.qpos[one.leader]
-            data.qvel[one.place] = one.factor * data.qvel[one.leader]
-
-    def set_follower_rates(self, rates: np.ndarray) -> None:
-        """Set the rates of the joints that follow another, in `rates` of shape (nv,)."""
-        for one in self.followers:
-            rates[one.place] = one.factor * rates[one.leader]
-
-    def of_joints(self, forces: np.ndarray) -> np.ndarray:
-        """Return what `forces`, shape (nv,), ask of the chain's joints, shape (n,): a leader also carries what follows it."""
-        return forces[self.joints] if self.shares is None else self.shares.T @ forces[: len(self.shares)]
-
     def inertia(self, data: mujoco.MjData) -> np.ndarray:
-        """Return the mass matrix of the chain with what follows and what it carries, shape (n, n) [kg m^2]; motors included."""
-        matrix = data.M[self.inertias] * self.related
-        return matrix if self.shares is None else self.shares.T @ matrix @ self.shares
+        """Return the mass matrix of the chain with what it carries, shape (n, n) [kg m^2]; motors included."""
+        return data.M[self.inertias] * self.related
 
 
 @dataclass(frozen=True)
@@ -140,6 +109,7 @@ class _Builder:
     """Builds one model; the order of its steps is that of `build`."""
 
     def __init__(self, bodies, scene, self_collision, drives, load, contacts):
+        check_serial(bodies)
         self._robot_bodies: RobotBodies = bodies
         self._scene: Scene = scene
         self._self_collision: SelfCollision = self_collision
@@ -170,7 +140,6 @@ class _Builder:
         self._remarks += self._drives.remarks
         checked = self._checked()
         self._exclude_pairs(checked)
-        self._add_followers()
         compiled = self._spec.compile()
         for name, armature, damping, friction in zip(
             self._robot_bodies.robot.joint_names, self._drives.armature, self._drives.damping, self._drives.friction
@@ -182,20 +151,8 @@ class _Builder:
         places = np.array([compiled.joint(name).dofadr[0] for name in self._robot_bodies.robot.joint_names])
         owners = [compiled.geom(geom).name.split("\n")[0] for geom in range(compiled.ngeom)]
         loose = {name: int(compiled.joint(f"free\n{name}").qposadr[0]) for name in self._loose}
-        followers = _followers(compiled)
-        # the arm is the first that was added, one number per joint
-        count = self._robot_bodies.model.njoints - 1
-        inertias, related = _inertias(compiled, count)
-        if not followers:
-            shares = None
-            inertias, related = inertias[np.ix_(places, places)], related[np.ix_(places, places)]
-        else:
-            shares = np.zeros((count, len(places)))
-            shares[places, np.arange(len(places))] = 1.0
-            for one in followers:
-                shares[one.place] = one.factor * shares[one.leader]
         return PhysicsModel(
-            self._robot_bodies.robot, compiled, places, self._drives, tuple(owners), loose, followers, shares, inertias, related,
+            self._robot_bodies.robot, compiled, places, self._drives, tuple(owners), loose, *_inertias(compiled, places),
             _unplanned(owners, checked), payload, tuple(dict.fromkeys(self._remarks)),
         )  # fmt: skip
 
@@ -379,16 +336,6 @@ class _Builder:
             for first, second, _ in checked_pairs(self._own, self._scene.padding, self._self_collision)
         }
 
-    def _add_followers(self) -> None:
-        """Tie the joints that follow one of the chain to their leaders."""
-        model = self._robot_bodies.model
-        places = {model.joints[index].idx_q: model.names[index] for index in range(1, model.njoints)}
-        for at, leader, factor, offset in self._robot_bodies.followers:
-            self._spec.add_equality(
-                type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT, name1=places[at], name2=places[leader],
-                data=[offset, factor] + [0.0] * 10,
-            )  # fmt: skip
-
 
 def _unplanned(owners: Sequence[str], checked: set[frozenset[str]]) -> np.ndarray:
     """Return which contacts of geoms are of pairs that the planner checks, shape (geoms, geoms)."""
@@ -402,25 +349,17 @@ def _unplanned(owners: Sequence[str], checked: set[frozenset[str]]) -> np.ndarra
     return found
 
 
-def _followers(model: mujoco.MjModel) -> tuple[MimicJoint, ...]:
-    """Return the joints that are tied to others."""
-    places = model.jnt_dofadr[np.column_stack((model.eq_obj1id, model.eq_obj2id))].tolist()
-    return tuple(
-        MimicJoint(place, leader, float(factor), float(offset))
-        for (place, leader), (offset, factor) in zip(places, model.eq_data[:, :2])
-    )
-
-
-def _inertias(model: mujoco.MjModel, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the inertias of the first `count` joints are among those that MuJoCo stores, and which are there.
+def _inertias(model: mujoco.MjModel, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the inertias of joints are among those that MuJoCo stores, and which are there.
 
     It stores, row by row, those of a joint with itself and with the joints that carry it.
     """
-    places, related = np.zeros((count, count), dtype=int), np.zeros((count, count), dtype=bool)
-    for row in range(count):
-        begin = model.M_rowadr[row]
-        for place in range(begin, begin + model.M_rownnz[row]):
-            column = model.M_colind[place]
+    size = len(joints)
+    places, related = np.zeros((size, size), dtype=int), np.zeros((size, size), dtype=bool)
+    for row, joint in enumerate(joints):
+        begin = model.M_rowadr[joint]
+        for place in range(begin, begin + model.M_rownnz[joint]):
+            (column,) = np.flatnonzero(joints == model.M_colind[place])
             places[row, column] = places[column, row] = place
             related[row, column] = related[column, row] = True
     return places, related
