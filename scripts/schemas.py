@@ -1,7 +1,7 @@
 """JSON Schemas of what travels, made from the records: prints that of `view`, or writes those of the page: `schemas.py [FILE]`.
 
-Types, bounds and meanings are those of the records and their docstrings, as pydantic tells them; `since` is the version of the
-message that has added a key. A field with a default may be missing.
+Types, bounds and meanings are those of the records and their docstrings, as pydantic tells them. A field with a default may be
+missing.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
  * Whether a message is what its schema says (schemas.js, made from the records of the robot's programs).
  *
  * Understands of JSON Schema what those schemas use. Keys that a schema does not name are left alone, because a newer
- * sender adds some; keys that a newer version has added (`since`) may be missing from an older one. Changes nothing,
- * guesses nothing.
+ * sender adds some. Changes nothing, guesses nothing.
  */
 
 /** Longest text of a wrong value that is shown. */
@@ -42,29 +41,28 @@ const RULES = [
 ];
 
 /** Keywords of schemas that are understood: another one would be a check that is not made. */
-export const KEYWORDS = [...RULES.map(([name]) => name), "properties", "required", "additionalProperties", "items", "since"];
+export const KEYWORDS = [...RULES.map(([name]) => name), "properties", "required", "additionalProperties", "items"];
 
 /** Return why a value is not what a schema says, as [path, value, what was expected]; null when it is. */
-function wrong(schema, value, path, version) {
+function wrong(schema, value, path) {
   for (const [name, holds, words] of RULES) {
     if (name in schema && !holds(value, schema[name])) return [path, value, words(schema[name])];
   }
   if (Array.isArray(value) && "items" in schema) {
     for (const [number, item] of value.entries()) {
-      const found = wrong(schema.items, item, `${path}[${number}]`, version);
+      const found = wrong(schema.items, item, `${path}[${number}]`);
       if (found !== null) return found;
     }
   }
   if (!isObject(value)) return null;
   const below = (name) => (path === "" ? name : `${path}.${name}`);
   for (const name of schema.required ?? []) {
-    const isDue = !(schema.properties[name].since > version);
-    if (isDue && !Object.hasOwn(value, name)) return [below(name), undefined, "it to be there"];
+    if (!Object.hasOwn(value, name)) return [below(name), undefined, "it to be there"];
   }
   for (const [name, item] of Object.entries(value)) {
     const known = schema.properties !== undefined && Object.hasOwn(schema.properties, name);
     const rule = known ? schema.properties[name] : schema.additionalProperties || null;
-    const found = rule === null ? null : wrong(rule, item, below(name), version);
+    const found = rule === null ? null : wrong(rule, item, below(name));
     if (found !== null) return found;
   }
   return null;
@@ -74,11 +72,10 @@ function wrong(schema, value, path, version) {
  * Check a message.
  *
  * @param {string} kind what it is, for the sentence
- * @param {number} [version] of the message: what a newer one has added is not asked for
  * @throws {TypeError} where it is not what the schema says
  */
-export function check(schema, message, kind, version = Infinity) {
-  const found = wrong(schema, message, "", version);
+export function check(schema, message, kind) {
+  const found = wrong(schema, message, "");
   if (found === null) return;
   const [path, value, expected] = found;
   const shown = value === undefined ? "missing" : (JSON.stringify(value) ?? "").slice(0, MOST_SHOWN);

@@ -89,9 +89,8 @@ export function connectionChanged(record) {
   return {...record, wanted: null, unsent: false, lowered: null};
 }
 
-/** Return why nothing may be set now, as one word, or "": offline, old, none (the robot knows no such limit). */
+/** Return why nothing may be set now, as one word, or "": offline, old. */
 export function blocked({connected, view, old}) {
   if (!connected) return "offline";
-  if (view === null || old || !view.online) return "old";
-  return view.speed === undefined ? "none" : "";
+  return view === null || old || !view.online ? "old" : "";
 }

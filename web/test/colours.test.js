@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import {readFileSync} from "node:fs";
 import {test} from "node:test";
-import {BY_REACH, BY_SYNC, BY_TASK} from "../src/picture/colours.js";
+import {BY_SYNC, BY_TASK} from "../src/picture/colours.js";
 
 test("the states of a task that have a colour are those that the robot's program has", () => {
   const source = readFileSync(new URL("../../src/construction_twin/extensions/work/task_memory.py", import.meta.url), "utf8");
@@ -12,5 +12,5 @@ test("the states of a task that have a colour are those that the robot's program
 });
 
 test("a word from the broker finds a colour or nothing", () => {
-  for (const table of [BY_REACH, BY_SYNC, BY_TASK]) for (const word of ["constructor", "toString", "__proto__"]) assert.equal(table[word], undefined);
+  for (const table of [BY_SYNC, BY_TASK]) for (const word of ["constructor", "toString", "__proto__"]) assert.equal(table[word], undefined);
 });

@@ -283,7 +283,7 @@ test("numbers are taken with a comma too, and anything else is not", () => {
 test("a pose that is typed goes out whole, and one with a mistake not at all", () => {
   const {parent, document, window, click} = fakePage();
   const poses = [];
-  const fields = makeToolFields(parent, textsIn("en"), (pose) => poses.push(pose));
+  const fields = makeToolFields(parent, textsIn("en"), (kind, pose) => poses.push({kind, ...pose}));
   const pose = {position: [1.35, 0, 1.569], quaternion: fromAngles({a: 180, b: 0, c: 180})};
   fields.show(pose);
   const inputs = [...document.querySelectorAll("input")];
@@ -292,12 +292,13 @@ test("a pose that is typed goes out whole, and one with a mistake not at all", (
   inputs[2].value = "1400,5";
   fields.show(pose);
   assert.equal(inputs[2].value, "1400,5", "what is typed stays while the goal is the same");
-  click(document.querySelector(".plan-tool-go"));
+  click(document.querySelector(".plan-tool-line"));
+  assert.equal(poses[0].kind, "line");
   near(poses[0].position[2], 1.4005);
   near(Math.abs(poses[0].quaternion.reduce((sum, part, k) => sum + part * pose.quaternion[k], 0)), 1);
   inputs[0].value = "far";
   inputs[0].dispatchEvent(new window.Event("input"));
-  click(document.querySelector(".plan-tool-go"));
+  click(document.querySelector(".plan-tool-pose"));
   assert.equal(poses.length, 1);
   assert.equal(inputs[0].getAttribute("aria-invalid"), "true");
   assert.match(document.querySelector(".plan-tool-note").textContent, /Write numbers/);

@@ -60,7 +60,6 @@ test("nothing is tried to find out a right; a person sets a goal where the robot
     assert.equal(page.find(".plan-work").hidden, false);
     assert.deepEqual(page.goal().names, NAMES);
     assert.deepEqual(page.goal().positions, POSITIONS);
-    assert.equal(page.handle().position.length, 3);
     assert.equal(page.parent.querySelectorAll(".plan-joint").length, 7);
     assert.deepEqual(page.connection.sent, []);
   }

@@ -58,12 +58,6 @@ test("it says what is in force as the robot says it, and who set it", async () =
   assert.equal(it.text(".speed-now"), "Speed limit in force: 100 % of the planned speed.");
 });
 
-test("a robot that knows no such limit has no slider", async () => {
-  const it = await page();
-  await it.hear("kr120", "view", view({speed: undefined, version: 4}));
-  assert.equal(it.find(".speed").hidden, true);
-});
-
 test("lowering goes out at once while dragging, paced, without a moment", async () => {
   const it = await page();
   it.drag(80);

@@ -44,7 +44,7 @@ test("what is not as expected is refused, counted and told, and the last value s
   store.on("refused", (robot, value) => told.push([robot, value.kind]));
   const good = view();
   await hear("r", "view", good);
-  await hear("r", "view", view({version: 8}));
+  await hear("r", "view", view({version: 9}));
   await hear("r", "view", view({moment: undefined}));
   await hear("r", "view", view({twin: {positions: [1]}}));
   await hear("r", "view", view({expected: {stamp: 1, age: 0, positions: [1]}}));

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from physics_samples import READY, between, bodies_of, drives, pairs_of, plan_of, rehearse, robot_of
 from scene_samples import FLOOR
 
-from construction_twin.extensions.physics import model
-from construction_twin.extensions.physics import rehearsal as module
+from construction_twin.extensions.physics import judgement, model
 from construction_twin.extensions.physics.arm import SimulatedArm
 from construction_twin.extensions.physics.drive import PayloadRating
 from construction_twin.extensions.physics.mass import of_shape
@@ -320,7 +319,7 @@ class TestNumbersThatAreNone:
     @pytest.mark.parametrize("bad", [math.nan, math.inf])
     def test_any_other_number(self, monkeypatch, bad):
         monkeypatch.setattr(
-            module,
+            judgement,
             "AxisLoad",
             lambda *numbers: replace(AxisLoad(*numbers), rms=bad if numbers[0] == "joint_a3" else 0.0),
         )

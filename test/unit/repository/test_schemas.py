@@ -21,7 +21,7 @@ class Inner:
     """
 
     near: float
-    far: Annotated[float | None, SchemaKeywords(minimum=0, since=2)]
+    far: Annotated[float | None, SchemaKeywords(minimum=0)]
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def test_types_bounds_and_words_are_those_of_the_record():
         "type": ["object", "null"],
         "additionalProperties": False,
         "required": ["near", "far"],
-        "properties": {"near": {"type": "number"}, "far": {"type": ["number", "null"], "minimum": 0, "since": 2}},
+        "properties": {"near": {"type": "number"}, "far": {"type": ["number", "null"], "minimum": 0}},
     }
     assert made["properties"]["word"]["enum"] == ["a", "b"]
     assert made["properties"]["texts"] == {"type": "object", "additionalProperties": {"type": "string"}}

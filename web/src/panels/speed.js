@@ -117,7 +117,7 @@ export function make(parent, store, connection, texts, clock = browser) {
     const record = recordOf(robot);
     const people = peopleOf(robot);
     const reason = why(robot);
-    area.hidden = view === null || reason === "none";
+    area.hidden = view === null;
     if (area.hidden) return;
     const [first, second = ""] = view.online ? saying(view, texts) : [texts("The speed limit in force is not known.")];
     setText(title, first);

@@ -97,7 +97,7 @@ let seq = 0;
 export function view(changes = {}) {
   seq += 1;
   return {
-    version: 7, compatible: 1, moment: `c0ffee00-${1000 + 40 * seq}`, robot: "kr120", online: true, run: "run", seq, stamp: seq / 25, units: {angle: "rad", length: "m", time: "s"},
+    version: 8, compatible: 8, moment: `c0ffee00-${1000 + 40 * seq}`, robot: "kr120", online: true, run: "run", seq, stamp: seq / 25, units: {angle: "rad", length: "m", time: "s"},
     joints: {names: ["joint_a1", "joint_a2"], types: ["revolute", "revolute"]},
     twin: {stamp: seq / 25, age: 0.01, positions: [0.1, -1.5]},
     arm: {stamp: seq / 25, age: 0.02, positions: [0.1, -1.5]},
