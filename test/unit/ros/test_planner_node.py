@@ -180,14 +180,15 @@ def test_while_engaged_only_the_way_back_is_planned(bench):
 
 def test_a_motion_comes_as_a_message_or_from_a_file_and_not_from_both(bench, tmp_path):
     file = tmp_path / "path.csv"
-    file.write_text("\n".join(",".join(map(repr, np.asarray(q).tolist())) for q in (HOME, RIGHT)))
-    request = PlanTrajectoryRequest(path=str(file), columns="joints_rad")
+    names = ",".join(f"{name}_rad" for name in ROBOT.joint_names)
+    file.write_text("\n".join([names, *(",".join(map(repr, np.asarray(q).tolist())) for q in (HOME, RIGHT))]))
+    request = PlanTrajectoryRequest(path=str(file))
     assert bench.services["plan_trajectory"](request).success
     (plan,) = bench.published["plan"]
     assert plan.source == str(file) and np.allclose(plan.trajectory.points[-1].positions, RIGHT)
     file.write_text(file.read_text().replace(repr(float(RIGHT[0])), "9.0"))
     answer = bench.services["plan_trajectory"](request)
-    assert not answer.success and "line 2: joint_a1 is 9 rad" in answer.message
+    assert not answer.success and "line 3: joint_a1 is 9 rad" in answer.message
     request.trajectory = convert.trajectory_to_msg(motion(HOME, RIGHT))
     assert "expected one of them" in bench.services["plan_trajectory"](request).message
 
@@ -240,7 +241,7 @@ class TestAMotionThatIsSentAgain:
         monkeypatch.setattr(endpoint, "time", SimpleNamespace(monotonic=lambda: next(numbers)))
         joints = Joints(tuple(ROBOT.joint_names), tuple(ROBOT.linear))
         connection = Connection(Broker("127.0.0.1", 1), client, Topics("twin", "kr120"), None)
-        desk = requests.ConsoleRequests(joints, {}, planner, None, None, connection, 4096)
+        desk = requests.ConsoleRequests(joints, {}, planner, connection, 4096, lambda: False, lambda: False)
 
         def by_mqtt(goal) -> str:
             motion = {"id": str(next(numbers)), "units": {"angle": "rad", "length": "m", "time": "s"}}
