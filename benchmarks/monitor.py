@@ -41,7 +41,7 @@ from servo_chain import (  # noqa: E402
 )
 
 from construction_twin.core.units import NANOSECONDS  # noqa: E402
-from construction_twin.evaluation.summary import evaluate  # noqa: E402
+from construction_twin.evaluation.alignment import evaluate  # noqa: E402
 from construction_twin.mock.faults import Fault  # noqa: E402
 from construction_twin.mock.servo import Servo  # noqa: E402
 from construction_twin.servo.model import ServoModel  # noqa: E402

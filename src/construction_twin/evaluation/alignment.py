@@ -260,3 +260,37 @@ def _paired(name, stamps, times, measured, path: TwinPath, missing: int = 0) -> 
         raise ConstructionTwinError(f"alignment {name}: no physical sample of that time meets the twin's recording")
     errors = measured[covered] - path(times[covered])
     return Alignment(name, stamps[covered], errors, missing + int(np.count_nonzero(~covered)))
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A recording with its alignments; `lag_ns`: estimated constant lag [ns]."""
+
+    recording: Recording
+    window: Window
+    lag_ns: float | None
+    alignments: dict[str, Alignment | None]
+
+
+def evaluate(recording: Recording) -> Evaluation:
+    """Align a recording by every method for which it holds the data.
+
+    The window is that of `task_window`, extended by the median round trip and the lag, so that the samples which answer the last
+    waypoint belong to it.
+    """
+    window = task_window(recording)
+    trips = round_trips(recording, window)
+    round_trip = int(np.median(trips) * NANOSECONDS) if len(trips) else 0
+    lag_ns = estimate_lag(recording, window.extended(round_trip))
+    window = window.extended(round_trip + int(lag_ns or 0))
+    return Evaluation(
+        recording=recording,
+        window=window,
+        lag_ns=lag_ns,
+        alignments={
+            "by_command": align_by_command(recording, window),
+            "instant": align_instant(recording, window),
+            "expected": align_expected(recording, window),
+            "lag_removed": None if lag_ns is None else align_lag_removed(recording, window, lag_ns),
+        },
+    )

@@ -21,18 +21,20 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.evaluation.alignment import round_trips
+from construction_twin.evaluation.alignment import Evaluation, evaluate, round_trips
 from construction_twin.evaluation.recording import Recording, Stream
-from construction_twin.evaluation.summary import Evaluation, evaluate, link_span, reply_counts, summarise
 from construction_twin.evaluation.tables import (
     ALIGNMENTS,
     NOTE,
     TableRow,
     axis_name,
     facts,
+    link_span,
     percentiles,
     remarks,
+    reply_counts,
     shown,
+    summarise,
     table_csv,
     table_rows,
     unavailable,

@@ -13,8 +13,8 @@ from sensor_msgs.msg import JointState
 from servo_chain import NAMES, poses, servo_chain
 
 from construction_twin.core.units import CYCLE
+from construction_twin.evaluation.alignment import evaluate
 from construction_twin.evaluation.bag import read_recording
-from construction_twin.evaluation.summary import evaluate
 from construction_twin.extensions.physics.commands.identify import main
 from construction_twin.ros.transport.joint_stream import to_time
 from construction_twin.servo.model import read_servos

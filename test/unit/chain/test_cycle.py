@@ -7,8 +7,7 @@ import pytest
 from chain_samples import REACH, ROBOT, assert_corrections_inside_limits, make_chain, make_plan, play_to_the_end
 from simulation import SimulatedChain, SimulatedLink
 
-from construction_twin.evaluation.alignment import LAG_TOLERANCE_NS
-from construction_twin.evaluation.summary import evaluate
+from construction_twin.evaluation.alignment import LAG_TOLERANCE_NS, evaluate
 from construction_twin.evaluation.tables import error_table
 from construction_twin.link.observations import LinkState
 

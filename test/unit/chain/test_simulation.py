@@ -12,8 +12,7 @@ from chain_samples import REACH, ROBOT, assert_corrections_inside_limits, make_c
 from simulation import SimulatedChain, SimulatedLink
 
 from construction_twin.core.units import CYCLE
-from construction_twin.evaluation.alignment import LAG_TOLERANCE_NS, align_lag_removed, task_window
-from construction_twin.evaluation.summary import evaluate
+from construction_twin.evaluation.alignment import LAG_TOLERANCE_NS, align_lag_removed, evaluate, task_window
 from construction_twin.evaluation.tables import error_table, paper_error
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.gateway.playout_rate import CALM

@@ -14,9 +14,8 @@ from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.interpolation import interpolate
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.evaluation import alignment
-from construction_twin.evaluation.alignment import TwinPath, task_window
+from construction_twin.evaluation.alignment import TwinPath, evaluate, task_window
 from construction_twin.evaluation.recording import PlayedPlan, Stream
-from construction_twin.evaluation.summary import evaluate
 
 
 def sliced(stream, part):

@@ -23,8 +23,9 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.share import share_file
+from construction_twin.evaluation.alignment import evaluate
 from construction_twin.evaluation.bag import read_recording
-from construction_twin.evaluation.summary import evaluate, summarise
+from construction_twin.evaluation.tables import summarise
 from construction_twin.extensions.planners.waypoint_file import parse_waypoints
 from construction_twin.planning.timing import time_path
 from construction_twin.planning.waypoints import plan_waypoints

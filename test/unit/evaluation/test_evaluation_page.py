@@ -9,10 +9,10 @@ from html.parser import HTMLParser
 import pytest
 from evaluation_samples import BASE, link, run
 
+from construction_twin.evaluation.alignment import evaluate
 from construction_twin.evaluation.recording import StateChange
 from construction_twin.evaluation.report import MOST_CHANGES, page
-from construction_twin.evaluation.summary import evaluate, summarise
-from construction_twin.evaluation.tables import ALIGNMENTS, ARM_UNKNOWN
+from construction_twin.evaluation.tables import ALIGNMENTS, ARM_UNKNOWN, summarise
 
 PNG = b"\x89PNG not a real picture"
 EVIL = "\"><script>alert(1)</script><b a='&"

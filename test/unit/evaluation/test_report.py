@@ -13,7 +13,8 @@ from evaluation_samples import JOINTS, link, run
 from rich.console import Console
 
 from construction_twin.evaluation import report, tables
-from construction_twin.evaluation.summary import evaluate, summarise
+from construction_twin.evaluation.alignment import evaluate
+from construction_twin.evaluation.tables import summarise
 from construction_twin.robot.description import read_robot_files
 
 KEYS = [
