@@ -7,7 +7,7 @@ what the servo lag explains is left in; where it does not (the gateway brakes or
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -19,11 +19,10 @@ from construction_twin.gateway.states import State
 from construction_twin.gateway.trace import TraceEntry
 from construction_twin.mock.faults import KINDS
 from construction_twin.scenario.definition import Scenario
-from construction_twin.scenario.motion import ROUNDING, distance_after, limit_usage, trace_arrays
 from construction_twin.scenario.timeline import Change, Run, SyncMoment
 
 #: Room for the last bits of differences of floating point numbers, as a fraction of a limit.
-_ROUNDING = 1e-6
+ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -45,50 +44,80 @@ class Excess:
 _LED = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
 
 
-def trace_excesses(
-    entries: Iterable[TraceEntry], limits: MotionLimits, decimals: int, cycle: float = CYCLE
-) -> list[Excess]:
-    """Return every place where a trace leaves the limits; empty when it stays inside.
+def trace_motion(entries: Sequence[TraceEntry], cycle: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return each reply's step from the last one that arrived, and its change from the step before, shape (k, n) [rad].
 
-    Each reply is one step from the last one that arrived. A controller session begins at rest; so does what follows a cycle without
-    a reply, because HOLDON has stopped the arm.
-
-    Args:
-        decimals: Decimals on the wire; velocity and acceleration are allowed what their rounding adds.
-        cycle: The controller's cycle [s].
+    A controller session begins at rest; so does what follows a cycle [s] without a reply, because HOLDON has stopped the arm.
     """
-    allowances = limits.allowances(decimals, cycle)
-    velocity = [v + allowance * cycle / 2 for v, allowance in zip(limits.velocity, allowances)]
-    acceleration = [a + allowance for a, allowance in zip(limits.acceleration, allowances)]
-    rest = (0.0,) * len(limits.names)
-    found: list[Excess] = []
-    last: TraceEntry | None = None
-    last_acknowledged: TraceEntry | None = None
-    step = rest
-    for index, entry in enumerate(entries):
+    steps, changes = [], []
+    last = last_acknowledged = None
+    step = rest = np.zeros(len(entries[0].position))
+    for entry in entries:
         if last is None or entry.session != last.session:
             last, last_acknowledged, step = entry, None, rest
         elif entry.time_since(last) > round(cycle * 1000):
             step = rest
         if entry.lost and last_acknowledged is not None:
             last, step = last_acknowledged, rest
-        new = tuple([q - before for q, before in zip(entry.position, last.position)])
+        new = np.subtract(entry.position, last.position)
         if entry.state in _LED:
             # the pose follows the controller's own motion: what it does, and what it does in a missed cycle, is not the gateway's
             new = step = rest
-        for axis, q in enumerate(entry.position):
-            name = limits.names[axis]
-            if not limits.lower[axis] - RANGE_SLACK <= q <= limits.upper[axis] + RANGE_SLACK:
-                end = limits.upper[axis] if q > limits.upper[axis] else limits.lower[axis]
-                found.append(Excess(index, entry.ipoc, name, "range", q, end))
-            speed = new[axis] / cycle
-            if abs(speed) > velocity[axis] * (1 + _ROUNDING):
-                found.append(Excess(index, entry.ipoc, name, "velocity", speed, velocity[axis]))
-            change = (new[axis] - step[axis]) / cycle**2
-            if abs(change) > acceleration[axis] * (1 + _ROUNDING):
-                found.append(Excess(index, entry.ipoc, name, "acceleration", change, acceleration[axis]))
+        steps.append(new)
+        changes.append(new - step)
         last_acknowledged, last, step = last, entry, new
-    return found
+    return np.array(steps), np.array(changes)
+
+
+def _arm_motion(positions: np.ndarray, breaks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the same of an arm's positions, one per cycle, shape (k, n) [rad]; where one `breaks`, a motion begins from rest."""
+    steps = np.diff(positions, axis=0, prepend=positions[:1])
+    steps[breaks] = 0.0
+    before = np.vstack([np.zeros_like(steps[:1]), steps[:-1]])
+    before[breaks] = 0.0
+    return steps, steps - before
+
+
+def _allowed(limits: MotionLimits, decimals: int, cycle: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the largest velocity and acceleration of each joint, with the allowance of the format's decimals."""
+    allowance = np.array(limits.allowances(decimals, cycle))
+    return np.array(limits.velocity) + allowance * cycle / 2, np.array(limits.acceleration) + allowance
+
+
+def _limit_usage(
+    steps: np.ndarray, changes: np.ndarray, limits: MotionLimits, decimals: int, cycle: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the largest velocity and acceleration of each joint as a fraction of what is allowed."""
+    velocity, acceleration = _allowed(limits, decimals, cycle)
+    return np.abs(steps).max(axis=0) / cycle / velocity, np.abs(changes).max(axis=0) / cycle**2 / acceleration
+
+
+def trace_excesses(
+    entries: Sequence[TraceEntry], limits: MotionLimits, decimals: int, cycle: float = CYCLE
+) -> list[Excess]:
+    """Return every place where a trace leaves the limits; empty when it stays inside.
+
+    Args:
+        decimals: Decimals on the wire; velocity and acceleration are allowed what their rounding adds.
+        cycle: The controller's cycle [s].
+    """
+    if not entries:
+        return []
+    steps, changes = trace_motion(entries, cycle)
+    velocity, acceleration = _allowed(limits, decimals, cycle)
+    ranges = np.array(limits.lower), np.array(limits.upper)
+    found = []
+    for kind, values, (lower, upper), slack in (
+        ("range", np.array([entry.position for entry in entries]), ranges, RANGE_SLACK),
+        ("velocity", steps / cycle, (-velocity, velocity), velocity * ROUNDING),
+        ("acceleration", changes / cycle**2, (-acceleration, acceleration), acceleration * ROUNDING),
+    ):
+        # written so that a nan is outside
+        for index, axis in np.argwhere(~((values >= lower - slack) & (values <= upper + slack))).tolist():
+            value = float(values[index, axis])
+            limit = float((upper if value > upper[axis] else lower)[axis])
+            found.append(Excess(index, entries[index].ipoc, limits.names[axis], kind, value, limit))
+    return sorted(found, key=lambda excess: excess.index)
 
 
 #: The arm holds somewhere else than at the goal when a joint is at least this far from it [deg].
@@ -355,7 +384,7 @@ def _corrections(
     if not trace:
         return [Check("corrections inside the limits", "a trace of the gateway", "an empty one", False)]
     excesses = trace_excesses(trace, limits, decimals, cycle)
-    velocity, acceleration = limit_usage(*trace_arrays(trace, cycle), limits, decimals, cycle)
+    velocity, acceleration = _limit_usage(*trace_motion(trace, cycle), limits, decimals, cycle)
     measured |= {"velocity_fraction": float(velocity.max()), "acceleration_fraction": float(acceleration.max())}
     found = "; ".join(map(str, excesses[:3])) or f"{len(trace)} replies inside"
     return [Check("corrections inside the limits", "every reply", found, not excesses)]
@@ -376,16 +405,15 @@ def _arm(
             # the report of a new session is made in its first cycle
             near = np.abs(run.arm_stamps - change.stamp).argmin()
             breaks[max(0, near - 1) : near + 2] = True
-    velocity, acceleration = limit_usage(run.arm, breaks, limits, decimals, cycle)
+    steps, changes = _arm_motion(run.arm, breaks)
+    velocity, acceleration = _limit_usage(steps, changes, limits, decimals, cycle)
     columns = [limits.names.index(name) for name in names]
     v, a = float(velocity[columns].max()), float(acceleration[columns].max())
     measured |= {"arm_velocity_fraction": v, "arm_acceleration_fraction": a}
-    missed = np.zeros(len(run.arm), dtype=bool)
     for at in np.searchsorted(run.arm_stamps, run.missed_at):
-        missed[max(0, at - _MISSED) : at + _MISSED + 1] = True
-    others = [
-        float(fraction[columns].max()) for fraction in limit_usage(run.arm, breaks, limits, decimals, cycle, missed)
-    ]
+        around = slice(max(0, at - _MISSED), at + _MISSED + 1)
+        steps[around] = changes[around] = 0.0
+    others = [float(fraction[columns].max()) for fraction in _limit_usage(steps, changes, limits, decimals, cycle)]
     found = f"velocity {others[0]:.3f}, acceleration {others[1]:.3f} of the limits beside {run.missed} missed replies"
     return [Check("sound joints inside the limits", "at most 1", found, max(others) <= 1.0 + ROUNDING)]
 
@@ -422,7 +450,7 @@ def _stop(scenario: Scenario, run: Run, cycle: float, measured: dict) -> list[Ch
         # the new session stands elsewhere from its first cycle on: that is no motion
         session = run.first("session", since=begin - NANOSECONDS // 10)
         begin = session.stamp + round(cycle * NANOSECONDS) if session else begin
-    distance, rest = distance_after(run.arm_stamps, run.arm, begin, min(released, default=int(run.arm_stamps[-1])))
+    distance, rest = _distance_after(run.arm_stamps, run.arm, begin, min(released, default=int(run.arm_stamps[-1])))
     largest = float(np.degrees(distance).max())
     measured |= {"stop_distance_deg": largest, "stop_time_s": rest}
     found = f"{largest:.4f} deg, at rest after {rest:.3f} s"
@@ -433,3 +461,22 @@ def _stop(scenario: Scenario, run: Run, cycle: float, measured: dict) -> list[Ch
         stated = f"no joint further than the controller stated, {most:.4f} deg for the one that moves most"
         checks.append(Check("stated stop distance", stated, f"{further:+.4f} deg", further <= STATED_DEG))
     return checks
+
+
+def _distance_after(stamps: np.ndarray, positions: np.ndarray, begin: int, end: int) -> tuple[np.ndarray, float]:
+    """Return the largest distance of each joint from its position at `begin`, until `end`, and the time to the arm's rest [s].
+
+    Args:
+        stamps: Shape (k,). [ns]
+        positions: Shape (k, n). [rad]
+        begin, end: [ns]
+    """
+    # from the cycle before: by its number, because a controller process that was late sends the next ones sooner
+    first = max(0, int(np.searchsorted(stamps, begin)) - 1)
+    inside = np.arange(first, int(np.searchsorted(stamps, end, side="right")))
+    if not len(inside):
+        return np.zeros(positions.shape[1]), 0.0
+    part = positions[inside]
+    moved = np.flatnonzero(np.abs(np.diff(part, axis=0)).max(axis=1, initial=0.0) > 1e-9)
+    rest = max(0.0, (stamps[inside[moved[-1] + 1]] - begin) / NANOSECONDS) if len(moved) else 0.0
+    return np.abs(part - part[0]).max(axis=0), float(rest)

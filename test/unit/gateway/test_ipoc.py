@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import pytest
 from gateway_cell import CONFIG, DELAY_CYCLES, Cell, slow
@@ -13,7 +14,6 @@ from construction_twin.controller.telegram import STAMP_WRAP, stamp_step
 from construction_twin.gateway.gateway import State
 from construction_twin.gateway.trace import TraceWriter, read_trace
 from construction_twin.scenario.judge import trace_excesses
-from construction_twin.scenario.motion import trace_arrays
 
 
 def moving(ipoc, cycles=100, trace=None):
@@ -105,7 +105,7 @@ def test_a_count_of_64_bits_is_followed_and_recorded(tmp_path, ipoc):
     entries = read_trace(str(tmp_path / "trace"))
     assert [entry.ipoc for entry in entries] == list(range(cell.ipoc - 4 * 302, cell.ipoc + 1, 4))
     assert trace_excesses(entries, cell.config.limits, 3) == []
-    assert trace_arrays(entries, 0.004)[1].sum() == 1
+    assert all(entry.time_since(before) == 4 for before, entry in pairwise(entries))
     assert cell.count("settling") == 0 and cell.state is State.FOLLOWING
 
 
