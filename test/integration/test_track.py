@@ -20,7 +20,7 @@ from construction_twin.evaluation.bag import read_recording
 from construction_twin.evaluation.report import write_report
 from construction_twin.kinematics.chain import Chain
 from construction_twin.mqtt.client import Broker
-from construction_twin.ros.commands.experiment import Recorder
+from construction_twin.ros.commands.driver import Recorder
 
 #: In the robot's order: the track [mm], then A1 to A6 [deg]; no two alike.
 HOME = (0.0, 0.0, -90.0, 90.0, 0.0, 90.0, 0.0)

@@ -38,7 +38,7 @@ from construction_twin.mqtt.messages import Control
 from construction_twin.planning.timing import time_path
 from construction_twin.review.rehearsal_report import RehearsalCheck
 from construction_twin.robot.plan import Plan
-from construction_twin.ros.commands.experiment import RestDetector
+from construction_twin.ros.commands.driver import RestDetector
 from construction_twin.ros.commands.scenario import print_verdict
 from construction_twin.ros.nodes.executor import BACKGROUND_PERIOD
 from construction_twin.ros.nodes.rsi_gateway import gateway_config

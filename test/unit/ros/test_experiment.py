@@ -10,7 +10,8 @@ import yaml
 
 from construction_twin.core.units import radians
 from construction_twin.robot.description import read_robot_files
-from construction_twin.ros.commands.experiment import ExperimentSettings, RestDetector
+from construction_twin.ros.commands.driver import RestDetector
+from construction_twin.ros.commands.experiment import ExperimentSettings
 
 CONFIG = yaml.safe_load(Path("config/experiment.yaml").read_text())
 

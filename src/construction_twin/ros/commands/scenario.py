@@ -28,12 +28,12 @@ from construction_twin.core.errors import ConfigurationError, ConstructionTwinEr
 from construction_twin.core.extensions import node_modules
 from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
-from construction_twin.core.units import from_wire
 from construction_twin.evaluation.bag import (
     ARM,
     EXECUTION,
     LINK,
     MOCK,
+    REPORTS,
     SYNC,
     TRANSITIONS,
     messages_of,
@@ -45,7 +45,7 @@ from construction_twin.evaluation.tables import table_console
 from construction_twin.gateway.trace import read_trace
 from construction_twin.msg import Execution, Link, Plan, Sync, Transition
 from construction_twin.robot.description import RobotModel
-from construction_twin.ros.commands.experiment import Recorder, RestDetector
+from construction_twin.ros.commands.driver import CellDriver, RestDetector
 from construction_twin.ros.shared.diagnostics import warn_of_refusals
 from construction_twin.ros.shared.master import await_master
 from construction_twin.ros.shared.node import ending_on_signals
@@ -55,8 +55,7 @@ from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, ScenarioError, Step, make_scenario
 from construction_twin.scenario.judge import Judgement, judge
 from construction_twin.scenario.timeline import Change, GatewayStop, Run, SyncMoment
-from construction_twin.srv import InjectFault, PlanToJoints, ReviewPlan
-from construction_twin.views.texts import READY
+from construction_twin.srv import InjectFault, ReviewPlan
 
 
 def print_verdict(verdict: Judgement, console: Console) -> None:
@@ -91,7 +90,6 @@ TOPICS = (
 _READY = 60.0
 #: The arm counts as at rest when no joint left this band [rad] for this time [s].
 _REST_BAND, _REST_TIME = 1e-6, 0.4
-_POLL = 0.005
 
 
 class ScenarioSettings(PrivateSettings):
@@ -103,50 +101,37 @@ class ScenarioSettings(PrivateSettings):
     file: str
 
 
-class ScenarioDriver:
+class ScenarioDriver(CellDriver):
     """Carries out a scenario's steps as a person would: through topics and services."""
 
     def __init__(self, scenario: Scenario, robot: RobotModel, console: Console):
-        self._scenario, self._robot, self._console = scenario, robot, console
+        super().__init__("scenario", robot, console, _READY)
+        self._scenario = scenario
         #: What was seen and done, in order; `actions` is what this program did itself.
         self.changes: list[Change] = []
         self.actions: list[Change] = []
         self._passed: list[Change] = []
-        self._plan: Plan | None = None
         self._approved = ""
-        self._execution = Execution()
-        self._since = 0
-        self._moved = 0
+        self._since = self._moved = 0
+        self._deadline = 0.0
         refuse = warn_of_refusals()
         for topic, kind in zip(STATES, (Sync, Link, Execution)):
             Subscriber(topic, kind, partial(self._on_state, topic), refuse, queue_size=50)
         Subscriber("transitions", Transition, self._on_transition, refuse, queue_size=50)
-        Subscriber("execution", Execution, self._on_execution, refuse, queue_size=50)
-        Subscriber("plan", Plan, self._on_plan, refuse, queue_size=5)
         self._rest = RestDetector(_REST_BAND, _REST_TIME)
         self._stop = PersistentService("stop", Trigger)
 
-    def wait_until_ready(self) -> None:
-        """Wait until a plan could be started."""
-        self._wait(lambda: all(self.now(t) == s for t, s in READY.items()), f"{READY}", time.monotonic() + _READY)
-        for service in ("plan_to_joints", "mock_rsi/inject"):
-            rospy.wait_for_service(service, _READY)
-
     def run(self) -> str:
         """Carry out every step and wait for the end; return why not, empty when all went as written."""
-        deadline = time.monotonic() + self._scenario.limit
+        self._deadline = time.monotonic() + self._scenario.limit
         arm = rospy.Subscriber("mock_rsi/joint_states", JointState, self._on_arm, queue_size=10)
         self._since = rospy.Time.now().to_nsec()
         try:
             for step in self._scenario.steps:
-                self._carry_out(step, deadline)
+                self._carry_out(step)
             final = self._scenario.expect.final
-            self._wait(
-                lambda: all(self.now(t) == s for t, s in final.items()) and self._rest.at_rest,
-                f"{dict(final)}",
-                deadline,
-            )
-        except (ScenarioError, rospy.ServiceException, rospy.ROSException) as error:
+            self._wait(lambda: all(self.now(t) == s for t, s in final.items()) and self._rest.at_rest, f"{dict(final)}")
+        except (ConstructionTwinError, rospy.ServiceException, rospy.ROSException) as error:
             return str(error)
         finally:
             arm.unregister()
@@ -155,22 +140,22 @@ class ScenarioDriver:
     def now(self, topic: str) -> str:
         """Return the last state of a topic; of ``outcome`` the last plan's."""
         if topic == "outcome":
-            return self._execution.outcome
+            return self.execution.outcome
         return next((c.value for c in reversed(self.changes) if c.topic == topic), "")
 
     # -- steps
 
-    def _carry_out(self, step: Step, deadline: float) -> None:
-        begin = self._moment(step.when, deadline)
+    def _carry_out(self, step: Step) -> None:
+        begin = self._moment(step.when)
         due = begin + round(step.after * 1e9)
-        self._wait(lambda: rospy.Time.now().to_nsec() >= due, f"{step}", deadline)
+        self._wait(lambda: rospy.Time.now().to_nsec() >= due, f"{step}")
         stamp = rospy.Time.now().to_nsec()
-        self._console.print(f"{(stamp - self._since) / 1e9:8.3f} s  {step}", soft_wrap=True)
+        self.print_line(f"{(stamp - self._since) / 1e9:8.3f} s  {step}")
         self._since = stamp
         if step.move:
             self._move(step.move)
         elif step.approve:
-            self._approve(deadline, step.approve == "refused")
+            self._approve(step.approve == "refused")
         elif step.inject:
             self._inject(step.inject, f"{step}")
         elif step.call:
@@ -178,22 +163,22 @@ class ScenarioDriver:
             service = self._stop if step.call == "stop" else rospy.ServiceProxy(step.call, Trigger)
             self._check(step.call, service())
 
-    def _moment(self, when: str, deadline: float) -> int:
+    def _moment(self, when: str) -> int:
         """Wait for what a step waits for; return its moment [ns]."""
         if when == "now":
             return self._since
         if when == "rest":
-            self._wait(lambda: self._rest.at_rest, "the arm to stand", deadline)
+            self._wait(lambda: self._rest.at_rest, "the arm to stand")
             return rospy.Time.now().to_nsec()
         if when == "motion":
-            self._wait(self._moving, "the motion to start", deadline)
-            return self._execution.plan_start.to_nsec()
+            self._wait(self._moving, "the motion to start")
+            return self.execution.plan_start.to_nsec()
         topic, state = when.split(" ")
-        self._wait(lambda: self.now(topic) == state or self._entered(topic, state), when, deadline)
+        self._wait(lambda: self.now(topic) == state or self._entered(topic, state), when)
         return self._entered(topic, state) or self._since
 
     def _moving(self) -> bool:
-        state = self._execution
+        state = self.execution
         return state.plan_start.to_nsec() >= self._moved > 0 and bool(state.state == Execution.PLAYING or state.outcome)
 
     def _entered(self, topic: str, state: str) -> int:
@@ -204,12 +189,10 @@ class ScenarioDriver:
     def _move(self, move: Move) -> None:
         self._record_action("move", str(move.goal_deg))
         self._moved = rospy.Time.now().to_nsec()
-        goal = from_wire(move.goal_deg, self._robot.linear)
-        plan = rospy.ServiceProxy("plan_to_joints", PlanToJoints)
-        self._check("plan_to_joints", plan(goal=goal, duration=move.duration, source="scenario"))
+        self.plan(move.goal_deg, move.duration)
 
-    def _approve(self, deadline: float, refused: bool) -> None:
-        plan = self._wait(self._new_plan, "a plan to approve", deadline)
+    def _approve(self, refused: bool) -> None:
+        plan = self._wait(self._new_plan, "a plan to approve")
         review = rospy.ServiceProxy("review_plan", ReviewPlan)
 
         def answered():
@@ -220,7 +203,7 @@ class ScenarioDriver:
             early = "is not under review" in answer.message or (refused and "was not rehearsed yet" in answer.message)
             return answer if answer.success or not early else None
 
-        patience = deadline if refused else min(deadline, time.monotonic() + 2.0)
+        patience = self._deadline if refused else min(self._deadline, time.monotonic() + 2.0)
         answer = self._wait(answered, "the executor to know the plan", patience)
         self._approved = plan.id
         if refused:
@@ -232,7 +215,8 @@ class ScenarioDriver:
         self._check("review_plan", answer)
 
     def _new_plan(self) -> Plan | None:
-        return self._plan if self._plan is not None and self._plan.id != self._approved else None
+        plan = self.listener.newest("plan")
+        return plan if plan is not None and plan.id != self._approved else None
 
     def _inject(self, fault: Injection, what: str) -> None:
         answer = rospy.ServiceProxy("mock_rsi/inject", InjectFault)(
@@ -249,16 +233,11 @@ class ScenarioDriver:
     def _record_action(self, topic: str, value: str) -> None:
         self.actions.append(Change(rospy.Time.now().to_nsec(), topic, value))
 
-    def _wait(self, condition: Callable[[], Any], what: str, deadline: float) -> Any:
-        """Return what `condition` returns as soon as it is true; ScenarioError after the deadline [s]."""
-        while not (found := condition()):
-            if time.monotonic() > deadline:
-                states = ", ".join(f"{topic} {self.now(topic)}" for topic in STATES)
-                raise ScenarioError(f"waited in vain for {what}; {states}: {self._reasons()}")
-            if rospy.is_shutdown():
-                raise ScenarioError("interrupted")
-            time.sleep(_POLL)
-        return found
+    def _wait(self, condition: Callable[[], Any], what: str, deadline: float | None = None) -> Any:
+        def waited_for() -> str:
+            return f"{what}; {', '.join(f'{topic} {self.now(topic)}' for topic in STATES)}: {self._reasons()}"
+
+        return self.wait(condition, waited_for, deadline or self._deadline)
 
     def _reasons(self) -> str:
         return "; ".join(c.reason for topic in STATES for c in [c for c in self.changes if c.topic == topic][-1:])
@@ -273,12 +252,6 @@ class ScenarioDriver:
         # a state that is left within the same cycle, as HOLDING for REPLANNING, is not on `sync`
         self._passed.append(Change(message.header.stamp.to_nsec(), "sync", message.to_text, message.reason))
 
-    def _on_execution(self, message: Execution) -> None:
-        self._execution = message
-
-    def _on_plan(self, message: Plan) -> None:
-        self._plan = message
-
     def _on_arm(self, message: JointState) -> None:
         self._rest.update(message.header.stamp.to_sec(), message.position)
 
@@ -292,17 +265,10 @@ def run_scenario(settings: ScenarioSettings, content: dict, console: Console) ->
     for name in (BAG, NOTES, TRACE, VERDICT):
         (folder / name).unlink(missing_ok=True)
     driver = ScenarioDriver(scenario, robot, console)
-    driver.wait_until_ready()
-    topics = [rospy.resolve_name(topic) for topic in TOPICS]
-    with Recorder(folder / BAG, topics, rospy.resolve_name("scenario_recorder")) as recorder:
-        deadline = time.monotonic() + _READY
-        while not recorder.connected():
-            if time.monotonic() > deadline:
-                raise ScenarioError(f"the recording did not start within {_READY:g} s")
-            time.sleep(_POLL)
+    driver.wait_until_ready("mock_rsi/inject")
+    with driver.recording(folder / BAG, TOPICS):
         failure = driver.run()
         rospy.sleep(0.6)  # the mock's next report belongs to the recording
-        recorder.stop(_READY)
     notes = {"failure": failure, "actions": [asdict(action) for action in driver.actions]}
     (folder / NOTES).write_text(json.dumps(notes, indent=2) + "\n")
     shutil.copyfile(settings.trace, folder / TRACE)
@@ -332,9 +298,11 @@ def read_run(folder: Path, namespace: str | None = None) -> Run:
             raise ConstructionTwinError(f"{path} holds no {prefix}/{name}; was the mock controller recorded?")
     reports = [json.loads(message.data) for message in messages[MOCK]]
     transitions = messages.get(TRANSITIONS, [])
-    changes += [*_states("sync", messages[SYNC][:1]), *_transitions(transitions)]
-    changes += _states("link", messages.get(LINK, []))
-    changes += [*_states("execution", messages[EXECUTION]), *_outcomes(messages[EXECUTION]), *_faults(reports)]
+    changes += [_gate_state(messages[SYNC][0].text, messages[SYNC][0])]
+    # of the gate two changes may come within one cycle, which `sync` does not show
+    changes += [_gate_state(message.to_text, message) for message in transitions]
+    changes += [Change(c.stamp, c.source, c.state, c.reason) for c in recording.changes if c.source != REPORTS[SYNC]]
+    changes += [*_outcomes(messages[EXECUTION]), *_faults(reports)]
     arm = messages[ARM]
     columns = [arm[0].name.index(joint) for joint in recording.joint_names]
     missed = np.array([report["counters"]["missed"] for report in reports])
@@ -353,12 +321,8 @@ def read_run(folder: Path, namespace: str | None = None) -> Run:
     )
 
 
-def _states(topic: str, messages: list) -> Iterator[Change]:
-    last = None
-    for message in messages:
-        if message.text != last:
-            last = message.text
-            yield Change(nanoseconds(message.header.stamp), topic, last, message.reason)
+def _gate_state(state: str, message) -> Change:
+    return Change(nanoseconds(message.header.stamp), "sync", state, message.reason)
 
 
 def _outcomes(messages: list) -> Iterator[Change]:
@@ -391,12 +355,6 @@ def _stops(messages: list) -> Iterator[GatewayStop]:
         if told.get("stop_took_s"):
             stated, moved = (tuple(map(float, told[f"stop_{name}_deg"].split())) for name in ("distance", "moved"))
             yield GatewayStop(told["stop_cause"], stated, moved)
-
-
-def _transitions(messages: list) -> Iterator[Change]:
-    """Return every change of the gate's state: two of them may come within one cycle, which `sync` does not show."""
-    for message in messages:
-        yield Change(nanoseconds(message.header.stamp), "sync", message.to_text, message.reason)
 
 
 def _closings(transitions: list, syncs: list) -> Iterator[SyncMoment]:
