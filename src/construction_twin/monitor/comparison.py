@@ -68,15 +68,6 @@ ANOTHER_CLOCK = NANOSECONDS // 50
 ALIGNED, INSTANT = "aligned", "instant"
 
 
-def agrees(theta_virtual: tuple[float, ...], theta_physical: tuple[float, ...], threshold: tuple[float, ...]) -> bool:
-    """Return whether twin and arm agree within a threshold per joint: Algorithm 1's test (Liang et al., section 3.3)."""
-    for virtual, physical, limit in zip(theta_virtual, theta_physical, threshold):
-        # written so that a nan does not agree
-        if not abs(virtual - physical) <= limit:
-            return False
-    return True
-
-
 class TwinHistory:
     """The twin's recent poses by stamp, so that a delayed physical pose meets the twin's pose for the same command."""
 
@@ -159,9 +150,9 @@ class Comparison:
         return self.agrees_within(1.0)
 
     def agrees_within(self, fraction: float) -> bool:
-        """Return whether Algorithm 1 would let the next pose pass with this fraction of the threshold, 0 to 1."""
-        threshold = self.threshold if fraction == 1.0 else tuple(fraction * limit for limit in self.threshold)
-        return agrees(self.theta_virtual, self.theta_physical, threshold)
+        """Return whether Algorithm 1 (Liang et al., section 3.3) lets the next pose pass with a fraction of the threshold, 0 to 1."""
+        # written so that a nan does not agree
+        return all([error <= fraction * limit for error, limit in zip(self.error, self.threshold)])
 
     def worst(self) -> int:
         """Index of the joint that uses most of its threshold; one whose error is no number comes first."""

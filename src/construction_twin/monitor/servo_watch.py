@@ -250,8 +250,7 @@ class ServoWatch:
             return
         self.judged += 1
         self._streak = 0 if agrees else min(self._streak + 1, SAMPLES)
-        self.difference = self._found(residual) if self._streak >= SAMPLES else None
-
-    def _found(self, residual: tuple[float, ...]) -> ServoDifference:
-        joint = max(range(len(residual)), key=lambda each: abs(residual[each]) / self._threshold[each])
-        return ServoDifference(joint, abs(residual[joint]), self._threshold[joint])
+        self.difference = None
+        if self._streak >= SAMPLES:
+            joint = max(range(len(residual)), key=lambda each: abs(residual[each]) / self._threshold[each])
+            self.difference = ServoDifference(joint, abs(residual[joint]), self._threshold[joint])

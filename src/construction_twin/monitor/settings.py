@@ -19,20 +19,7 @@ _Threshold = Annotated[float, pydantic.Field(gt=0, le=1, strict=True)]
 
 
 class GateSettings(pydantic.BaseModel):
-    """How strict the gate is.
-
-    Attributes:
-        threshold, threshold_linear: Agreement at rest of revolute joints [rad], and of prismatic ones [m].
-        thresholds: Other values for single joints, by joint name.
-        comparison: By command stamp where there is one, or always with the twin's present pose.
-        lag_allowance, lag_margin: [s], see `ComparisonSettings`.
-        feedback_timeout: Physical feedback older than this counts as out of sync [s].
-        agree_share: Fraction of the threshold, up to 1, that every error must stay below for the poses to agree again.
-        agree_time: They must do so this long before the gate opens [s].
-        policy: What happens after a violation.
-        give_up_time: A gate that is closed this long stays closed until there is a new command session [s].
-        escalate_count, escalate_time: So does one that closes this often within this time, but not for stale feedback [s].
-    """
+    """How strict the gate is: the keys of config/pca_monitor.yaml, which explains each; SI."""
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 

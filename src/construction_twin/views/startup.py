@@ -50,7 +50,7 @@ class ReportedState:
 
 @dataclass(frozen=True)
 class StartupInputs:
-    """What was received so far; `controller`: why the arm may not move, as it says itself; "" for no reason."""
+    """What was received so far."""
 
     link: ReportedState | None = None
     sync: ReportedState | None = None
@@ -58,7 +58,6 @@ class StartupInputs:
     feedback: bool = False
     twin: bool = False
     scene: bool = False
-    controller: str = ""
 
 
 @dataclass(frozen=True)
@@ -204,13 +203,9 @@ class StartUp:
         self._since = self._reason_since = 0.0
         self._logged: Missing | None = None
         self._ready = False
-        self._controller = _SideNotice("the controller reports nothing against a motion any more")
 
     def update(self, inputs: StartupInputs, now: float) -> list[str]:
         """Take what is seen at a time that never runs back [s]; return the lines that are news."""
-        return self._progress(inputs, now) + self._controller.update(inputs.controller, now)
-
-    def _progress(self, inputs: StartupInputs, now: float) -> list[str]:
         missing, before = first_missing(inputs, self._deployment), self.missing
         if missing is None or before is None or missing.kind != before.kind or not self._since:
             self._since = self._reason_since = now
@@ -236,25 +231,6 @@ class StartUp:
         self._ready, self._logged = True, None
         robot = self._deployment.namespace.strip("/")
         return [f"ready; plan with `rosrun construction_twin twin --robot {robot} plan ...`, look with `... watch`"]
-
-
-class _SideNotice:
-    """Logs what nothing waits for, but a person should know: when it has stood for `PATIENCE`, and that it does no more."""
-
-    def __init__(self, gone: str):
-        self._gone = gone
-        self._sentence = self._logged = ""
-        self._since = 0.0
-
-    def update(self, sentence: str, now: float) -> list[str]:
-        """Return what is to be told now: the sentence once it has stood long enough, or that it is gone; `now` in s."""
-        news = without_counts(sentence)
-        if news != self._sentence:
-            self._sentence, self._since = news, now
-        if news == self._logged or now - self._since < PATIENCE:
-            return []
-        self._logged = news
-        return [sentence or self._gone]
 
 
 def first_missing(inputs: StartupInputs, deployment: Deployment) -> Missing | None:

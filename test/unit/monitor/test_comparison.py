@@ -9,7 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.monitor.comparison import HISTORY, ComparisonSettings, PoseComparison, TwinHistory, agrees
+from construction_twin.monitor.comparison import (
+    ALIGNED,
+    HISTORY,
+    Comparison,
+    ComparisonSettings,
+    PoseComparison,
+    TwinHistory,
+)
 
 T0 = 1_000 * CYCLE_NS
 VIRTUAL = (0.0,) * 6
@@ -21,6 +28,10 @@ vectors = st.lists(angles, min_size=6, max_size=6).map(tuple)
 
 def joint(index: int, value: float) -> tuple[float, ...]:
     return tuple(value if i == index else 0.0 for i in range(6))
+
+
+def agrees(virtual, physical, threshold) -> bool:
+    return Comparison(T0, ALIGNED, virtual, physical, threshold, math.nan, math.nan).agrees
 
 
 @pytest.mark.parametrize("index", range(6))

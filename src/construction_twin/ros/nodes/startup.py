@@ -148,10 +148,9 @@ class StartupNode:
             for name, facts in reports.items()
             if facts is not None and name not in snapshot.silent
         }
-        counters = snapshot.link.gateway_counters if snapshot.link is not None and "link" in words else {}
         link, sync, execution = (words.get(name) for name in reports)
         feedback, twin, scene = (topic in self.came for topic in (FEEDBACK, TWIN, SCENE))
-        inputs = StartupInputs(link, sync, execution, feedback, twin, scene, counters.get("controller_sentence", ""))
+        inputs = StartupInputs(link, sync, execution, feedback, twin, scene)
         for line in self._startup.update(inputs, now):
             waits = self._startup.missing is not None
             (rospy.logwarn if waits else rospy.loginfo)("%s", line)
