@@ -104,6 +104,8 @@ class SimulatedChain:
         self.observe: Callable[[], None] = lambda: None
         self.gateway = Gateway(config, "simulation")
         self.executor = Executor(robot)
+        #: How long the arm trails the setpoints, as the executor knows it [s]; nan: unknown.
+        self.trails = np.nan
         self.verdicts: list[Verdict] = []
         self.codec = JointStringCodec.of(robot, config.decimals)
         self.gate = Gate(MotionLimits.of(robot), self.codec, gate, EPOCH, servos)
@@ -221,6 +223,7 @@ class SimulatedChain:
         last = gate.comparison.last
         if last is not None:
             self.executor.limit.on_lag(last.round_trip, last.servo_lag)
+            self.trails = last.round_trip + np.nan_to_num(last.servo_lag)
         # a disk that takes everything at once
         self.executor.engagement.written = self.executor.engagement.present
         theta_next = self.executor.step(stamp, stamp)

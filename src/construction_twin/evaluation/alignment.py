@@ -70,12 +70,9 @@ class Window:
 
 @dataclass(frozen=True)
 class Alignment:
-    """Differences between paired samples.
+    """Differences physical - twin, shape (m, n) [rad], at ROS times of physical samples, shape (m,) [ns].
 
-    Attributes:
-        stamps: Shape (m,), int64. ROS time of the physical samples [ns].
-        errors: Shape (m, n). physical - twin [rad].
-        skipped: Samples inside the window without a command stamp, or beyond the twin's recording.
+    `skipped`: samples inside the window without a command stamp, or beyond the twin's recording.
     """
 
     name: str

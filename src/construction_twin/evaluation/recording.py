@@ -35,11 +35,7 @@ class Stream:
 
 @dataclass(frozen=True)
 class FeedbackStream(Stream):
-    """Physical joint positions with the command they answer to; 0 = unknown.
-
-    Attributes:
-        seq, command_stamps: Shape (k,). The gateway's state counter; playout time of the target each pose answers to [ns].
-    """
+    """Physical joint positions, the gateway's state counter, and playout time of the target each answers to [ns]; 0: unknown."""
 
     seq: np.ndarray
     command_stamps: np.ndarray
@@ -47,13 +43,7 @@ class FeedbackStream(Stream):
 
 @dataclass(frozen=True)
 class PlayedPlan:
-    """One execution of a plan.
-
-    Attributes:
-        start: Nominal stamp of its first setpoint [ns].
-        duration: [s]
-        outcome: ``finished``, ``stopped``, ``held``, ``dropped``; empty when the recording ends before the plan does.
-    """
+    """One execution of a plan: nominal stamp of its first setpoint [ns], duration [s]; `outcome` is empty while it is under way."""
 
     plan_id: str
     start: int
@@ -68,13 +58,9 @@ class PlayedPlan:
 
 @dataclass(frozen=True)
 class LinkSnapshot:
-    """The bridge's report at one moment.
+    """The bridge's report at one moment [ns], with the gateway's counters.
 
-    Attributes:
-        received: [ns]
-        counters: The gateway's counters as it reported them.
-        reply_bins: Upper bin edges of the histogram of RSI reply times [us].
-        reply_counts: Counts per bin since the gateway started; one more than `reply_bins`, the last being overflow.
+    `reply_bins`: upper bin edges of the histogram of RSI reply times [us]; `reply_counts` has one more, the overflow.
     """
 
     received: int
@@ -95,13 +81,7 @@ class LinkSnapshot:
 
 @dataclass(frozen=True)
 class StateChange:
-    """One change of state that was reported.
-
-    Attributes:
-        stamp: ROS time of the change [ns].
-        source: What reported it: ``gate``, ``execution``, ``link``.
-        reason: One sentence; may be empty.
-    """
+    """One change of state that ``gate``, ``execution`` or ``link`` reported, at a ROS time [ns]."""
 
     stamp: int
     source: str
@@ -118,12 +98,9 @@ class Recording:
         joint_names: Length n. The joints both twin and physical report, in the twin's order.
         twin, physical: The physical stream's stamps are ROS time at reception in the bridge, the twin's the nominal time of the
             command it executes.
-        feedback: One sample per physical sample, with its command stamp.
         waypoints: Number of waypoints of each recorded plan id.
-        mock: The mock controller's status (keys ``state``, ``counters``, ``config``); None when no mock reported, so that the arm
-            may have been a real one.
-        expected: Where the gate's model of the servos had the arm, stamped as the physical sample that it was compared with; None
-            when it had none.
+        mock: The mock controller's status (keys ``state``, ``counters``, ``config``); None: the arm may have been a real one.
+        expected: Where the gate's model of the servos had the arm, stamped as the physical sample that it was compared with.
         linear: Those of `joint_names` that are prismatic: m in place of rad. A bag does not say so; `write_report` takes it from
             the robot.
     """

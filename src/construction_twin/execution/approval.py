@@ -36,8 +36,6 @@ from construction_twin.robot.plan import Plan
 AUTO_APPROVE = "auto_approve"
 #: The scene that a plan was made for may be announced this long after the plan [ns].
 SCENE_DELAY = NANOSECONDS
-
-
 #: A verdict counts this long [ns]; the watch repeats it ten times a second.
 VERDICT_TIMEOUT = NANOSECONDS // 2
 

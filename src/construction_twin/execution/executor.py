@@ -32,10 +32,7 @@ TWIN_TIMEOUT = NANOSECONDS // 2
 class Executor(ExecutorMachine):
     """Plays approved plans as theta_next: `step` is the cycle; what comes from outside and what persons ask for become events.
 
-    Attributes:
-        sync: The gate's state, as the monitor says.
-        unarmed: Why the arm is not armed; empty: it is.
-        rested: Moment of the newest stop or pause [ns of the robot's clock]; -1: none.
+    `unarmed`: why the arm is not armed, empty: it is; `rested`: the newest stop or pause [ns of the robot's clock], or -1.
     """
 
     def __init__(self, robot: RobotModel, left: Engagement | None = None):

@@ -37,12 +37,9 @@ class TwinPose:
 
 
 class PlayRate:
-    """The newest limit on a plan's speed, and whether the arm is waited for.
+    """The newest limit on a plan's speed, 0 to 1, and whether the arm is waited for: it trails by lost replies, or is slowed.
 
-    Attributes:
-        fraction, reason: 0 to 1, and why; 0: it stands still until the limit is raised.
-        waits: For an arm that trails, because replies to it are lost, or because the gateway slows it.
-        standing: Whether the plan has come to rest because of either.
+    `standing`: the plan has come to rest because of either.
     """
 
     def __init__(self):
@@ -97,12 +94,9 @@ class ExecutorMachine:
 
     Attributes:
         cause: Why the state was entered; `reason` is the same with what the speed limit makes of it now.
-        limit: How fast plans are played.
-        playback: The present or last execution; None before the first.
-        segment_run: The same of a work plan; None when the plan played last is none.
+        playback, segment_run: The present or last execution, and that of a work plan.
         setpoint: Sent last; None: none is known.
-        events: What is to be told: plans withdrawn or rejected, executions ended.
-        orders: What is to be asked of the tool, of plans that have ended.
+        events, orders: To be published: plans withdrawn or rejected, executions ended; to be asked of the tool: of ended plans.
         side_effects: Runs what tells of a stop, a pause or a rejection: it can fail none of them.
     """
 

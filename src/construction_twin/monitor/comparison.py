@@ -120,14 +120,11 @@ class TwinHistory:
 
 @dataclass(frozen=True)
 class Comparison:
-    """One physical pose compared with the twin.
+    """One physical pose compared with the twin: received `at` [ns]; poses and threshold of shape (n,) [rad], [m].
 
     Attributes:
-        at: When the physical pose was received [ns].
         mode: ``aligned`` or ``instant``.
-        theta_virtual, theta_physical, threshold: Shape (n,). [rad]; [m] for prismatic joints.
-        round_trip: From the setpoint with the command stamp to the arm's answer, on the monotonic clock of who compares [s]; nan
-            when unknown.
+        round_trip: From the setpoint with the command stamp to the arm's answer [s]; nan when unknown.
         servo_lag: How long the arm trails what it is compared with [s]; nan until it has moved.
     """
 
@@ -150,7 +147,7 @@ class Comparison:
         return self.agrees_within(1.0)
 
     def agrees_within(self, fraction: float) -> bool:
-        """Return whether Algorithm 1 (Liang et al., section 3.3) lets the next pose pass with a fraction of the threshold, 0 to 1."""
+        """Return whether Algorithm 1 (Liang et al., section 3.3) lets the next pose pass within a fraction of the threshold."""
         # written so that a nan does not agree
         return all([error <= fraction * limit for error, limit in zip(self.error, self.threshold)])
 
@@ -165,7 +162,7 @@ class ComparisonSettings:
     """How poses are compared.
 
     Attributes:
-        threshold: Shape (n,). Agreement at rest, per joint [rad]; [m] for prismatic joints.
+        threshold: Shape (n,). Agreement at rest [rad], [m].
         lag_allowance: Largest servo lag that is believed, and until the lag is known what is allowed for it at the commanded
             velocity [s].
         lag_margin: Once the lag is known: what it may be wrong by [s].

@@ -40,13 +40,7 @@ LEAST = 0.00005
 
 
 class Refinement:
-    """Estimates how much later each joint is than its identified servo.
-
-    Attributes:
-        model: As refined so far.
-        added_lags: Length n. How much later each joint is than the file says [s].
-        due: Whether a joint has moved enough for `apply`.
-    """
+    """Estimates how much later than its identified servo each joint is: `added_lags` [s]; `due`: enough has moved for `apply`."""
 
     def __init__(self, model: ServoModel):
         self._file = self.model = model

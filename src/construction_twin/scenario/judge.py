@@ -275,9 +275,7 @@ def _detection(scenario: Scenario, run: Run, measured: dict) -> list[Check]:
 class _Crossing:
     """How a joint's error went over its threshold.
 
-    Attributes:
-        within: Stamp of the command that the last sample within the threshold was compared with [ns].
-        last: Stamp of the last sample of the recording [ns].
+    `within`: stamp of the command that the last sample within it was compared with; `last`: of the recording's last sample [ns].
     """
 
     joint: int

@@ -27,13 +27,7 @@ class Change:
 
 @dataclass(frozen=True)
 class SyncMoment:
-    """What the gate measured when it left a state.
-
-    Attributes:
-        stamp: [ns]
-        error, threshold: [rad]; empty when nothing was compared.
-        servo_lag: As estimated then [s]; nan when unknown.
-    """
+    """What the gate measured when it left a state: error and threshold [rad], empty where nothing was compared; lag [s], or nan."""
 
     stamp: int
     joints: tuple[str, ...]
@@ -44,13 +38,7 @@ class SyncMoment:
 
 @dataclass(frozen=True)
 class GatewayStop:
-    """A stop as the gateway reported it at its end.
-
-    Attributes:
-        cause: ``silence``, ``refused``, ``stop``, ``speed_limit`` or ``drift``.
-        stated, moved: Shape (n,). Distance of each joint to rest: as stated when braking began, and as the arm went [deg], [mm]
-            where linear.
-    """
+    """A stop as the gateway reported it at its end: distance of each joint to rest as stated, and as it moved [deg], [mm]."""
 
     cause: str
     stated: tuple[float, ...]

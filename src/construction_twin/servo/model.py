@@ -81,13 +81,7 @@ class JointServo:
 
 @dataclass(frozen=True)
 class ServoModel:
-    """The servos of an arm.
-
-    Attributes:
-        names: Length n. Joint names.
-        servos: Length n.
-        cycle_ns: Of the controller for which they were identified [ns].
-    """
+    """The servos of an arm, by joint name, as identified for a controller's cycle [ns]."""
 
     names: tuple[str, ...]
     servos: tuple[JointServo, ...]
