@@ -16,7 +16,7 @@ from construction_twin.core.units import CYCLE_NS
 from construction_twin.evaluation.alignment import align_lag_removed, task_window
 from construction_twin.evaluation.bag import read_recording
 
-FILES = ("experiment.bag", "table1.csv", "figure8.png", "figure9.png", "timing.png", "summary.json")
+FILES = ("experiment.bag", "table1.csv", "figure8.png", "figure9.png", "summary.json")
 AXES = tuple(f"joint_a{number}" for number in range(1, 7))
 #: Longest that the experiment may take [s].
 TIME_LIMIT = 120

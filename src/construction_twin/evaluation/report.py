@@ -21,18 +21,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.evaluation.alignment import Evaluation, evaluate, round_trips
-from construction_twin.evaluation.recording import Recording, Stream
+from construction_twin.evaluation.alignment import Evaluation, evaluate
+from construction_twin.evaluation.recording import Recording
 from construction_twin.evaluation.tables import (
     ALIGNMENTS,
     NOTE,
     TableRow,
     axis_name,
     facts,
-    link_span,
-    percentiles,
     remarks,
-    reply_counts,
     shown,
     summarise,
     table_csv,
@@ -110,65 +107,6 @@ def tool_path_figure(evaluation: Evaluation, robot: RobotModel) -> Figure:
     return figure
 
 
-def timing_figure(evaluation: Evaluation) -> Figure:
-    """Return histograms of the round trip, of the intervals between received messages and of the gateway's reply time."""
-    figure, panels = _figure(9.0, 8.6, 3)
-    _round_trip_panel(panels[0], evaluation)
-    _interval_panel(panels[1], evaluation)
-    _reply_panel(panels[2], evaluation)
-    return figure
-
-
-def _round_trip_panel(axes, evaluation: Evaluation) -> None:
-    trips = round_trips(evaluation.recording, evaluation.window) * 1e3
-    axes.set(title="Round trip: reception of a pose after the command it answers to", xlabel="[ms]", ylabel="samples")
-    if not len(trips):
-        return _no_data(axes, "no command stamps in the recording")
-    axes.hist(trips, bins=_bins(trips), color=COLOURS[0])
-    axes.set_yscale("log")
-    for name, value in percentiles(trips).items():
-        if value is not None:
-            _mark(axes, value, f"{name.replace('_', '.')} {value:.2f}")
-    return None
-
-
-def _interval_panel(axes, evaluation: Evaluation) -> None:
-    axes.set(title="Intervals between messages, as received by the recorder", xlabel="[ms]", ylabel="messages")
-    intervals = {}
-    for name in ("twin", "physical", "command"):
-        stream: Stream | None = getattr(evaluation.recording, name)
-        if stream is not None:
-            received = stream.received[evaluation.window.contains(stream.received)]
-            intervals[name] = np.diff(received) / 1e6
-    everything = np.concatenate(list(intervals.values()))
-    if not len(everything):
-        return _no_data(axes, "fewer than two messages")
-    bins = _bins(everything)
-    for number, (name, values) in enumerate(intervals.items()):
-        axes.hist(values, bins=bins, histtype="step", lw=1.6, color=COLOURS[number], label=f"{name} ({len(values)})")
-    axes.set_yscale("log")
-    axes.legend(frameon=False, fontsize=8)
-    return None
-
-
-def _reply_panel(axes, evaluation: Evaluation) -> None:
-    axes.set(title="RSI reply time in the gateway", xlabel="upper bin edge [us]", ylabel="replies")
-    first, last = link_span(evaluation.recording.links, evaluation.window)
-    counts = reply_counts(first, last)
-    if last is None or not sum(counts):
-        return _no_data(axes, "no reply times in the recording")
-    edges = [max(1, last.reply_bins[0] / 2), *last.reply_bins]
-    if len(counts) > len(last.reply_bins):
-        edges.append(edges[-1] * 2)  # overflow has no upper edge; drawn as one more bin
-    axes.stairs(counts, edges, fill=True, color=COLOURS[2])
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    filled = np.flatnonzero(counts)
-    axes.set_xlim(edges[filled[0]] * 0.8, max(edges[filled[-1] + 1] * 1.25, 1250.0))
-    _mark(axes, 1000.0, "1 ms")
-    return None
-
-
 def _figure(width: float, height: float, rows: int) -> tuple[Figure, list]:
     figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
@@ -178,25 +116,6 @@ def _figure(width: float, height: float, rows: int) -> tuple[Figure, list]:
         axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
     return figure, list(panels)
-
-
-def _bins(values: np.ndarray) -> np.ndarray:
-    low, high = float(values.min()), float(values.max())
-    margin = max(0.1, 0.02 * (high - low))
-    return np.linspace(low - margin, high + margin, 101)
-
-
-def _mark(axes, value: float, text: str) -> None:
-    axes.axvline(value, color=INK, lw=0.8, ls=":")
-    axes.annotate(
-        text, (value, 0.97), xytext=(-2, 0), textcoords="offset points", xycoords=("data", "axes fraction"), fontsize=7,
-        ha="right", va="top", rotation=90, bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1},
-    )  # fmt: skip
-
-
-def _no_data(axes, reason: str) -> None:
-    axes.text(0.5, 0.5, reason, transform=axes.transAxes, ha="center", va="center", color="#888888")
-    axes.set(xticks=[], yticks=[])
 
 
 def _frame_3d(axes, points: np.ndarray) -> None:
@@ -221,7 +140,6 @@ FAULTS = {
 _HEADINGS = {
     "figure8.png": "Tool path (the paper's Figure 8)",
     "figure9.png": "Joints (the paper's Figure 9)",
-    "timing.png": "Timing",
 }
 _CIRCUMSTANCES = {
     "skipped_samples": "Samples left out, per comparison",
@@ -401,7 +319,7 @@ def write_report(recording: Recording, robot: RobotModel | None, directory: str 
     summary = {**summarise(evaluation), "twin": twin or None, "environment": environment(twin)}
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
-    drawings = {"figure9.png": joint_figure(evaluation), "timing.png": timing_figure(evaluation)}
+    drawings = {"figure9.png": joint_figure(evaluation)}
     if robot is not None:
         drawings["figure8.png"] = tool_path_figure(evaluation, robot)
     for name, drawing in drawings.items():

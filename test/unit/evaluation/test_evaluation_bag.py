@@ -26,9 +26,8 @@ from construction_twin.core.share import share_file
 from construction_twin.evaluation.alignment import evaluate
 from construction_twin.evaluation.bag import read_recording
 from construction_twin.evaluation.tables import summarise
-from construction_twin.extensions.planners.waypoint_file import parse_waypoints
 from construction_twin.planning.timing import time_path
-from construction_twin.planning.waypoints import plan_waypoints
+from construction_twin.ros.commands.bag_report import read_plans
 from construction_twin.ros.commands.evaluate import main
 from construction_twin.ros.messages.convert import plan_to_msg
 
@@ -204,33 +203,14 @@ def test_command_line_writes_the_report_and_prints_it(full_bag, tmp_path, capsys
     assert json.loads((tmp_path / "out/summary.json").read_text())["samples"] > 700
 
 
-def test_every_plan_of_a_recording_becomes_a_file_that_can_be_planned_again(recording, tmp_path, capsys):
-    robot = kr120()
-    goals = {"a": np.add(robot.home, 0.2), "b": np.add(robot.home, -0.1)}
-    plans = [make_plan(time_path(np.array([robot.home, goal]), robot), name) for name, goal in goals.items()]
-    with rosbag.Bag(str(tmp_path / "run.bag"), "w") as bag:
-        write_robot(bag, recording)
-        for number, plan in enumerate([plans[0], *plans]):  # the first one latched, and so recorded twice
-            tool_path = np.zeros((len(plan.trajectory.times), 3))
-            bag.write("/kr120/plan", plan_to_msg(plan, "base_link", tool_path), at(BASE + number + 1))
-    assert main([str(tmp_path / "run.bag"), "--output", str(tmp_path / "out"), "--plans"]) == 0
-    assert "plan_2.csv" in capsys.readouterr().out.replace("\n", "")
-    assert sorted(file.name for file in (tmp_path / "out").glob("plan_*")) == ["plan_1.csv", "plan_2.csv"]
-    for number, plan in enumerate(plans, start=1):
-        waypoints = parse_waypoints((tmp_path / f"out/plan_{number}.csv").read_text(), robot)
-        assert plan_waypoints(waypoints, robot.home, robot).content_hash() == plan.hash
-
-
-def test_a_plan_that_is_not_what_its_hash_says_is_not_written(recording, tmp_path, capsys):
+def test_a_plan_that_is_not_what_its_hash_says_is_not_read(tmp_path):
     robot = kr120()
     plan = make_plan(time_path(np.array([robot.home, np.add(robot.home, 0.2)]), robot))
     message = plan_to_msg(plan, "base_link", np.zeros((len(plan.trajectory.times), 3)))
     message.hash = "0" * 64
-    with rosbag.Bag(str(tmp_path / "run.bag"), "w") as bag:
-        write_robot(bag, recording)
-        bag.write("/kr120/plan", message, at(BASE + 1))
-    assert main([str(tmp_path / "run.bag"), "--output", str(tmp_path / "out"), "--plans"]) == 1
-    assert f"plan {plan.id} has hash" in capsys.readouterr().err and not list((tmp_path / "out").glob("plan_*"))
+    write_bag(tmp_path / "run.bag", "/kr120/plan", message)
+    with pytest.raises(ConstructionTwinError, match=f"plan {plan.id} has hash"):
+        read_plans(tmp_path / "run.bag")
 
 
 def with_definition(kind, definition: str, md5: str | None = None) -> type:

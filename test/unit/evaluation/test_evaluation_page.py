@@ -70,7 +70,7 @@ def full():
         StateChange(BASE + 3 * 10**9, "gate", "HOLDING", "joint_a3 differs by 2 deg"),
     )
     summary = summary_of(recording)
-    return summary, Reader(page(summary, recording, {"figure9.png": PNG, "timing.png": PNG}))
+    return summary, Reader(page(summary, recording, {"figure8.png": PNG, "figure9.png": PNG}))
 
 
 def test_page_needs_no_other_file(full):

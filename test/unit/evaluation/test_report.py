@@ -136,7 +136,7 @@ def test_report_writes_every_file(tmp_path):
     robot = read_robot_files("urdf/kr120r2500.urdf.xacro", "config/kr120.yaml")
     links = [link(0.5, 1), link(12.5, 2, counts=(30, 20, 5, 1))]
     written = report.write_report(run(links=links), robot, tmp_path / "results" / "now")
-    names = ["figure8.png", "figure9.png", "report.html", "summary.json", "table1.csv", "timing.png"]
+    names = ["figure8.png", "figure9.png", "report.html", "summary.json", "table1.csv"]
     assert [path.name for path in written.files] == names
     assert json.loads((tmp_path / "results/now/summary.json").read_text()) == written.summary
     assert all(path.read_bytes()[:4] == b"\x89PNG" for path in written.files if path.suffix == ".png")

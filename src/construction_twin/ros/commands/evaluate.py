@@ -12,8 +12,7 @@ import rospy
 from rich.console import Console
 
 from construction_twin.core.errors import ConstructionTwinError, command_message, system_message
-from construction_twin.core.extensions import import_extension
-from construction_twin.core.files import check_writable, write_atomically
+from construction_twin.core.files import check_writable
 from construction_twin.core.share import share_file
 from construction_twin.evaluation.bag import PLAN, TYPES, choose_robot, open_bag, read_recording, write_mcap
 from construction_twin.evaluation.recording import Recording
@@ -87,7 +86,6 @@ def main(arguments: list[str] | None = None) -> int:
         "a bag with at least .../twin/joint_states and .../physical/joint_states",
         "_evaluation",
     )
-    parser.add_argument("--plans", action="store_true", help="also write each plan as plan_N.csv, for twin plan --csv")
     parser.add_argument(
         "--mcap", action="store_true", help="also write the bag as recording.mcap, for Foxglove or Rerun"
     )
@@ -100,10 +98,10 @@ def main(arguments: list[str] | None = None) -> int:
     def write(recording: Recording, directory: Path, console: Console) -> tuple[Path, ...]:
         robot = _robot(options, recording.joint_names)
         report = write_report(recording, robot, directory)
-        others = _write_plans(options, robot, directory) if options.plans else ()
+        others: tuple[Path, ...] = ()
         if options.mcap:
-            others = (*others, directory / "recording.mcap")
-            write_mcap(options.bag, others[-1])
+            others = (directory / "recording.mcap",)
+            write_mcap(options.bag, others[0])
         render_tables(report.summary, console)
         if robot.joint_names != recording.joint_names:
             console.print(f"No figure8.png: {robot.name} has other joints than the bag: --robot-xacro, --robot-config.")
@@ -118,13 +116,3 @@ def _robot(options: argparse.Namespace, joint_names: tuple[str, ...]) -> RobotMo
         return read_robot_files(files[0], files[1], options.robot_xacro_args)
     robots = [read_robot_files(share_file(xacro), share_file(config)) for xacro, config in ROBOTS]
     return next((robot for robot in robots if robot.joint_names == joint_names), robots[0])
-
-
-def _write_plans(options: argparse.Namespace, robot: RobotModel, directory: Path) -> tuple[Path, ...]:
-    files: list[Path] = []
-    for plan in read_plans(options.bag, options.robot):
-        if plan.trajectory.joint_names != robot.joint_names:
-            raise ConstructionTwinError(f"plan {plan.id} has other joints; give --robot-xacro and --robot-config")
-        files.append(directory / f"plan_{len(files) + 1}.csv")
-        write_atomically(files[-1], import_extension("planners.waypoint_file").format_plan(plan, robot.linear))
-    return tuple(files)
