@@ -27,8 +27,7 @@ from construction_twin.evaluation.alignment import evaluate
 from construction_twin.evaluation.bag import read_recording
 from construction_twin.evaluation.tables import summarise
 from construction_twin.planning.timing import time_path
-from construction_twin.ros.commands.bag_report import read_plans
-from construction_twin.ros.commands.evaluate import main
+from construction_twin.ros.commands.evaluate import main, read_plans
 from construction_twin.ros.messages.convert import plan_to_msg
 
 STATUS = {"state": "running", "counters": {}, "config": {"servo": "realistic"}}
