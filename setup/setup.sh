@@ -67,7 +67,7 @@ if sys.version_info < (3, 10):
     print(f"Python 3.10 ({sys.executable} is {sys.version.split()[0]})")
 print(*(name for name in sys.argv[1:] if importlib.util.find_spec(name) is None), sep="\n")
 EOF
-    for program in catkin_make cmake g++ rviz mosquitto mosquitto_pub openssl; do command -v "$program" >/dev/null || printf '%s\n' "$program"; done
+    for program in catkin_make cmake g++ rviz mosquitto mosquitto_pub openssl; do PATH="$PATH:/usr/sbin" command -v "$program" >/dev/null || printf '%s\n' "$program"; done
   )
   missing=$(printf '%s\n' "$missing" | sed '/^$/d' | tr '\n' ' ')
   say "using ROS '$ROS_DISTRO', which is sourced here: no Debian packages are installed; missing: ${missing:-nothing}"
@@ -232,7 +232,7 @@ build_workspace() {
     cd "$workspace"
     # an earlier environment of this workspace must not leak into its build
     other_ros || { unset ROS_PACKAGE_PATH CMAKE_PREFIX_PATH PYTHONPATH ROS_ROOT && PATH=/usr/bin:/bin; }
-    catkin_make -DCATKIN_ENABLE_TESTING=ON
+    catkin_make -DCATKIN_ENABLE_TESTING=ON -DPYTHON_EXECUTABLE="$python"
   ) >"$work/build.log" 2>&1 || fail "catkin_make failed; its last lines: $(tail -n 5 "$work/build.log" | tr '\n' ' ') (all of it: $work/build.log)"
   printf '%s\n' "$want" >"$stamp"
 }
