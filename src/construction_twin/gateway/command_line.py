@@ -123,7 +123,7 @@ def check(arguments: argparse.Namespace, config: GatewayConfig) -> None:
     """Raise the ConstructionTwinError that a gateway with these options would not start with; leave nothing behind."""
     bind(*_endpoints(arguments, config)[2]).close()
     if arguments.trace:
-        check_trace(arguments.trace, len(config.axes))
+        check_trace(arguments.trace)
 
 
 def _run(argv: list[str]) -> int:

@@ -7,7 +7,6 @@ times of arrival in ns.
 
 from __future__ import annotations
 
-import re
 from collections import deque
 from statistics import median
 
@@ -23,16 +22,12 @@ PATIENT = 4000
 BASE = 200
 #: The rate may differ from 1 by this much: more than any clock's error, and ten times what the playout follows in motion.
 TOLERANCE = 0.05
-#: Beyond this the time between telegrams does not bear out what stamps say of the cycle: then it is not called a cycle.
-FAR_OFF = 0.25
 #: So many steps in a row of a longer cycle are no lost telegrams: with a third of all lost at random that takes decades.
 LOSSES = 10
 #: So many of the shorter one: no loss makes a step shorter than a cycle, and a telegram behind a newer one makes no step.
 SHORTER = 3
 #: Telegrams that the figures of the status are taken from.
 SHOWN = 250
-#: Figures in a sentence about the clock that are measured.
-_MEASURED = re.compile(r"\d+\.\d+")
 
 
 class ControllerClock:
@@ -62,8 +57,8 @@ class ControllerClock:
         self.changed = ""
         # the last step that was another cycle, where it led, and how many of it came in a row
         self._other = self._other_stamp = self._in_a_row = 0
-        # what was judged last, without figures that waver
-        self._judged = ""
+        # the step that the last finding was about, 0 for one about the rate; None for no finding
+        self._found: float | None = None
 
     def on_telegram(self, stamp: int, arrived: int) -> None:
         """Store stamp [ms] and arrival of a telegram, on any clock in real time [ns], also of one that is not answered."""
@@ -94,41 +89,40 @@ class ControllerClock:
         self._other, self._other_stamp = step, stamp
         if self.changed or self._in_a_row != self._others[step]:
             return
-        self.changed = self._sentence(step, 1.0)
+        self.changed = self._cycle_sentence(step)
         arrivals = self._arrivals
         while len(arrivals) > self._in_a_row:
             arrivals.popleft()
         self._to_judge = self._first - len(arrivals)
 
     def judge(self, rates: bool = True) -> str | None:
-        """Return what is wrong with the clock, "" when nothing is; None for nothing new. Due every 0.4 s, when nothing waits.
+        """Return what is wrong with the clock, "" for nothing; None for nothing new. Due every 0.4 s, when nothing waits.
 
         Without `rates` only the cycle is judged: a rate that once was right becomes wrong by a machine that stalls.
         """
         if self._to_judge > 0:
-            return None
+            return self._once(self._other, self.changed) if self.changed and not rates else None
         self._to_judge = self._first
         step, rate = self._figures(self._patient) if rates else (self._step(list(self._arrivals)), 1.0)
-        in_time = abs(rate - 1.0) <= TOLERANCE
         if step != self._cycle:
-            return self._sentence(step, rate)
+            return self._once(step, self._cycle_sentence(step))
         self.changed = ""
-        if in_time:
+        if abs(rate - 1.0) <= TOLERANCE:
+            self._found = None
             return ""
         if len(self._arrivals) < self._patient:
             return None
-        return self._sentence(step, rate)
+        return self._once(
+            0.0,
+            Sentence(
+                "the controller's clock runs {rate:.2f} times as fast as real time: what sends is no controller in real time",
+                rate=rate,
+            ),
+        )
 
-    def pop_finding(self, rates: bool = True) -> str | None:
-        """Return what `judge` does, without `rates` also what `changed` says; None for what was said last, but for figures."""
-        wrong = self.judge(rates)
-        if wrong is None and not rates:
-            wrong = self.changed or None
-        if not wrong:
-            self._judged = self._judged if wrong is None else ""
-            return wrong
-        before, self._judged = self._judged, _MEASURED.sub("", wrong)
-        return wrong if self._judged != before else None
+    def _once(self, found: float, sentence: str) -> str | None:
+        before, self._found = self._found, found
+        return sentence if before != found else None
 
     def status_fields(self) -> dict:
         """Return what the status says: ms, and the controller's time per real time; None where it is not known yet."""
@@ -157,24 +151,11 @@ class ControllerClock:
     def _step(arrivals: list[tuple[int, int]]) -> float:
         return median([later[0] - earlier[0] for earlier, later in zip(arrivals, arrivals[1:])])
 
-    def _sentence(self, step: float, rate: float) -> str:
-        cycle, stamp = self._cycle, self._words.stamp
-        if step != cycle and abs(rate - 1.0) <= FAR_OFF:
-            setting = self._words.cycle.format(self._modes[cycle])
-            found = Sentence(
-                "the controller's cycle is {step:g} ms ({stamp} steps of {step:g}); expected {expected} ms: {setting}",
-                step=step,
-                stamp=stamp,
-                expected=cycle,
-                setting=setting,
-            )
-            return Sentence("{cycle}; or rsi_cycle:={step:g}", cycle=found, step=step) if step in self._modes else found
+    def _cycle_sentence(self, step: float) -> Sentence:
         return Sentence(
-            "the controller's clock runs {rate:.2f} times as fast as real time ({stamp} steps of {step:g}, a telegram every "
-            "{every:.1f} ms); expected {expected} per telegram: what sends is no controller in real time",
-            rate=rate,
-            stamp=stamp,
+            "the controller's cycle is {step:g} ms ({stamp} steps of {step:g}); expected {expected} ms: {setting}",
             step=step,
-            every=step / rate if rate else 0.0,
-            expected=cycle,
+            stamp=self._words.stamp,
+            expected=self._cycle,
+            setting=self._words.cycle.format(self._modes[self._cycle]),
         )

@@ -233,15 +233,15 @@ class Gateway(ArmControl):
                 self.brake(Event.CYCLE_REFUSED, clock.changed)
         elif state is State.READY:
             # a program began RSI anew in the other mode, where nothing else shows that it did
-            if wrong := clock.pop_finding(rates=False):
+            if wrong := clock.judge(rates=False):
                 machine.on(Event.CYCLE_REFUSED, Occasion(wrong))
         elif state in (State.MEASURING, State.OTHER_CYCLE):
-            wrong = clock.pop_finding()
+            wrong = clock.judge()
             if wrong is not None:
                 machine.on(Event.CYCLE_REFUSED if wrong else Event.CYCLE_FITS, Occasion(wrong or self._began))
         elif state is State.READ_ONLY:
             # it takes no corrections, but the next program may
-            wrong = clock.pop_finding()
+            wrong = clock.judge()
             if wrong:
                 machine.append_to_reason(wrong)
                 machine.changed = True

@@ -7,10 +7,8 @@ emptied: another gateway may record in it.
 
 from __future__ import annotations
 
-import errno
 import mmap
 import os
-import shutil
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,38 +18,24 @@ from construction_twin.core.errors import ConfigurationError
 from construction_twin.gateway.states import State
 
 #: Begins every trace; the number is the format's.
-MAGIC = b"rsitrace1\n"
-_HEADER = struct.Struct("<10sHI")
+MAGIC = b"rsitrace2\n"
+_HEADER = struct.Struct("<10sH")
 _STATES = tuple(State)
 #: Between two entries of a session; a longer one its gateway would not have answered [ms].
 _LONGEST_STEP = 1 << 30
-#: Cycles that a trace holds by default: an hour.
-DEFAULT_CYCLES = 900_000
+#: Cycles that a trace holds: an hour.
+_CYCLES = 900_000
 
 
 def _entry(axes: int) -> struct.Struct:
     return struct.Struct(f"<QqHHB3x{axes}d")
 
 
-def check_trace(path: str, axes: int, cycles: int = DEFAULT_CYCLES) -> Path:
-    """Return the trace's path; ConfigurationError where `TraceWriter` would raise one."""
+def check_trace(path: str) -> None:
+    """Raise ConfigurationError where no trace can be written."""
     file = Path(path).resolve()
-    if file.exists() and not file.is_file():
-        expected = "a regular file, or a path where none is yet; this is a device, a folder, a pipe or a socket"
-        raise ConfigurationError("--trace", path, expected)
-    # in /tmp nobody replaces what is another user's
-    if not os.access(file.parent, os.W_OK) or (file.exists() and not os.access(file, os.W_OK)):
-        problem = "no such folder" if not file.parent.is_dir() else "Permission denied"
-        raise ConfigurationError("--trace", path, f"a file that can be written ({problem})")
-    there, needed = file.stat().st_blocks * 512 if file.exists() else 0, _HEADER.size + cycles * _entry(axes).size
-    if shutil.disk_usage(file.parent).free + there < needed:
-        raise _no_room(path, needed, os.strerror(errno.ENOSPC))
-    return file
-
-
-def _no_room(path: str, size: int, problem: str | None) -> ConfigurationError:
-    expected = f"a file on a disk with {size / 1e6:.1f} MB of room, reserved at the start ({problem})"
-    return ConfigurationError("--trace", path, expected)
+    if (file.exists() and not file.is_file()) or not os.access(file.parent, os.W_OK):
+        raise ConfigurationError("--trace", path, "a file, or none yet, in a folder that can be written")
 
 
 @dataclass(frozen=True)
@@ -79,39 +63,38 @@ class TraceEntry:
 
 
 class TraceWriter:
-    """Writes a trace; `record` is what `Gateway.trace` takes. What comes after so many cycles is counted in `dropped`."""
+    """Writes a trace; `record` is what `Gateway.trace` takes. It ends after `cycles`."""
 
-    def __init__(self, path: str, axes: int, cycles: int = DEFAULT_CYCLES):
+    def __init__(self, path: str, axes: int, cycles: int = _CYCLES):
+        check_trace(path)
         self._entry = _entry(axes)
-        self._numbers = {state: number for number, state in enumerate(_STATES)}
-        self._end = _HEADER.size + cycles * self._entry.size
-        self._at = _HEADER.size
-        self.dropped = 0
-        file = check_trace(path, axes, cycles)
+        self._numbers = {state: number for number, state in enumerate(_STATES, 1)}
+        self._at, self._end = _HEADER.size, _HEADER.size + cycles * self._entry.size
+        file = Path(path)
         try:
             file.unlink(missing_ok=True)
             self._file = file.open("x+b")
+            try:
+                os.posix_fallocate(self._file.fileno(), 0, self._end)
+            except OSError:
+                file.unlink()
+                raise
         except OSError as error:
-            raise ConfigurationError("--trace", path, f"a file that can be written ({error.strerror})") from error
-        try:
-            os.posix_fallocate(self._file.fileno(), 0, self._end)
-        except OSError as error:
-            file.unlink(missing_ok=True)
-            raise _no_room(path, self._end, error.strerror) from error
+            expected = (
+                f"a file on a disk with {self._end / 1e6:.1f} MB of room, reserved at the start ({error.strerror})"
+            )
+            raise ConfigurationError("--trace", path, expected) from error
         self._memory = mmap.mmap(self._file.fileno(), self._end)
-        _HEADER.pack_into(self._memory, 0, MAGIC, axes, self._entry.size)
+        _HEADER.pack_into(self._memory, 0, MAGIC, axes)
 
     def record(
         self, ipoc: int, session: int, state: State, stamp: int, position: tuple[float, ...], lost: bool = False
     ) -> None:
         """Append an entry."""
-        if self._at >= self._end:
-            self.dropped += 1
-            return
-        self._entry.pack_into(
-            self._memory, self._at, ipoc, stamp, self._numbers[state] + 1, session & 0xFFFF, lost, *position
-        )
-        self._at += self._entry.size
+        if self._at < self._end:
+            number = self._numbers[state]
+            self._entry.pack_into(self._memory, self._at, ipoc, stamp, number, session & 0xFFFF, lost, *position)
+            self._at += self._entry.size
 
     def close(self) -> None:
         """Cut the file to what was recorded."""
@@ -125,12 +108,9 @@ def read_trace(path: str | Path) -> list[TraceEntry]:
     data = Path(path).read_bytes()
     if len(data) < _HEADER.size or not data.startswith(MAGIC):
         raise ConfigurationError(str(path), data[:16], "a file written by rsi_gateway --trace")
-    _, axes, size = _HEADER.unpack_from(data)
-    entry = _entry(axes)
-    if size != entry.size:
-        raise ConfigurationError(str(path), size, f"entries of {entry.size} bytes")
+    entry = _entry(_HEADER.unpack_from(data)[1])
     entries = []
-    for at in range(_HEADER.size, len(data) - size + 1, size):
+    for at in range(_HEADER.size, len(data) - entry.size + 1, entry.size):
         ipoc, stamp, state, session, lost, *position = entry.unpack_from(data, at)
         if not state:
             break
