@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from xml.etree import ElementTree
 
 from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.telegram import Reply
 from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP
-from construction_twin.rsi.status_channels import NAMES, RsiStatus, status_channels
+from construction_twin.rsi.status_channels import ATTRIBUTE, NAMES, RsiStatus, status_channels
 from construction_twin.rsi.telegram import (
-    attribute_template,
     axis_units,
     correction_channels,
     find_children,
@@ -21,12 +19,14 @@ from construction_twin.rsi.telegram import (
     read_ipoc,
     read_number,
 )
-from construction_twin.rsi.tool_channels import SET, grouped, is_signal, signal_texts
+from construction_twin.rsi.tool_channels import IN, OUT, SET, names_of
 
-#: Blocks of a packet that hold an axis each, with the axes in them.
-AXIS_BLOCKS = {"AIPos": ROBOT_AXES, "ASPos": ROBOT_AXES, "EIPos": EXTERNAL_AXES, "ESPos": EXTERNAL_AXES}
-#: Blocks of a packet that hold a Cartesian pose.
-POSE_BLOCKS = ("RIst", "RSol")
+_POSE = ("X", "Y", "Z", "A", "B", "C")
+#: Attributes of a packet's blocks.
+BLOCKS = {
+    **{"RIst": _POSE, "RSol": _POSE, "AIPos": ROBOT_AXES, "ASPos": ROBOT_AXES},
+    **{"EIPos": EXTERNAL_AXES, "ESPos": EXTERNAL_AXES},
+}
 #: What an optional channel sends of a status.
 _STATUS_VALUES = {"Mode": "mode", "ProgStatus": "program", "OvPro": "override"}
 _NO_STATUS = RsiStatus()
@@ -45,19 +45,21 @@ class RobotEncoder:
         self,
         axes: tuple[str, ...],
         precision: int,
-        send: tuple[str, ...] = (*POSE_BLOCKS, "AIPos", "ASPos", "Delay"),
+        send: tuple[str, ...] = ("RIst", "RSol", "AIPos", "ASPos", "Delay"),
         units: tuple[AxisUnit, ...] = (),
     ):
         self._units = [(unit.feedback_factor, unit.zero) for unit in axis_units(axes, units)]
-        blocks = grouped(send)
-        self._blocks = [
-            (tags[0], [axes.index(a) if a in axes else None for a in AXIS_BLOCKS.get(tags[0], ())]) for tags in blocks
-        ]
-        self._status = {tag: _STATUS_VALUES[tag.partition(".")[0]] for tag in status_channels(send)}
-        #: TAGs of a tool by the first one of their element.
-        self._signals = {tags[0]: tags for tags in blocks if is_signal(tags[0])}
-        elements = "".join(_block(tags, precision) for tags in blocks)
-        self._template = f'<Rob Type="KUKA">{elements}<IPOC>%d</IPOC></Rob>'.encode()
+        #: Blocks and attributes of the axes: measured, programmed.
+        self._measured, self._programmed = (
+            [f"{'E' if axis in EXTERNAL_AXES else 'A'}{block}.{axis}" for axis in axes] for block in ("IPos", "SPos")
+        )
+        elements: dict[str, list[str]] = {}
+        for tag in send:
+            # what stands in one element stands together, where its first channel does
+            elements.setdefault(tag.partition(".")[0], []).extend(_channels(tag))
+        self._channels = [channel for channels in elements.values() for channel in channels]
+        body = "".join(_element(name, channels, precision) for name, channels in elements.items())
+        self._template = f'<Rob Type="KUKA">{body}<IPOC>%d</IPOC></Rob>'.encode()
         zero = f"{0:.{precision}f}".encode()
         self._negative_zero, self._zero = b'"-' + zero + b'"', b'"' + zero + b'"'
 
@@ -79,23 +81,37 @@ class RobotEncoder:
             measured_pose, setpoint_pose: Length 6. X, Y, Z [m] and A, B, C [rad], for RIst and RSol.
             signals: Outputs and inputs of a tool by their TAGs, e.g. ``Out.vacuum``.
         """
-        axes = {"I": self._positions(measured), "S": self._positions(setpoint)}
-        values: list[float] = []
-        for name, slots in self._blocks:
-            if name in POSE_BLOCKS:
-                values.extend(_pose_on_wire(measured_pose if name == "RIst" else setpoint_pose))
-            elif name == "Delay":
-                values.append(delay)
-            elif name in self._status:
-                values.append(getattr(status, self._status[name]) or 0)
-            elif name in self._signals:
-                values.extend(signal_texts(self._signals[name], signals))
-            else:
-                values.extend(0.0 if slot is None else axes[name[1]][slot] for slot in slots)
-        return (self._template % (*values, ipoc)).replace(self._negative_zero, self._zero)
+        values: dict[str, float] = {"Delay.D": delay, **signals}
+        for channels, q in ((self._measured, measured), (self._programmed, setpoint)):
+            values.update(zip(channels, [(x + zero) * factor for x, (factor, zero) in zip(q, self._units)]))
+        for block, pose in (("RIst", measured_pose), ("RSol", setpoint_pose)):
+            on_wire = *(1e3 * value for value in pose[:3]), *map(math.degrees, pose[3:])
+            values.update(zip(_channels(block), on_wire))
+        for name, field in _STATUS_VALUES.items():
+            values[name] = values[f"{name}.{ATTRIBUTE}"] = getattr(status, field) or 0
+        found = [values.get(channel, 0) for channel in self._channels]
+        return (self._template % (*found, ipoc)).replace(self._negative_zero, self._zero)
 
-    def _positions(self, q: Sequence[float]) -> list[float]:
-        return [(value + zero) * factor for value, (factor, zero) in zip(q, self._units)]
+
+def _channels(tag: str) -> list[str]:
+    """Return the channels of a TAG: those of a whole block, or itself."""
+    if tag in BLOCKS:
+        return [f"{tag}.{attribute}" for attribute in BLOCKS[tag]]
+    if tag == "Delay":
+        return ["Delay.D"]
+    if not (names_of(OUT, [tag]) or names_of(IN, [tag]) or status_channels([tag])):
+        known = (*BLOCKS, "Delay", *NAMES, "Out.<output>", "In.<input>")
+        raise ConfigurationError("SEND", tag, f"one of {', '.join(known)}")
+    return [tag]
+
+
+def _element(name: str, channels: Sequence[str], precision: int) -> str:
+    """Return the %-template of an element of a packet."""
+    number = f"%.{precision}f" if name in BLOCKS else "%g" if name in NAMES else "%d"
+    if channels == [name]:
+        return f"<{name}>{number}</{name}>"
+    attributes = " ".join(f'{channel.partition(".")[2]}="{number}"' for channel in channels)
+    return f"<{name} {attributes}/>"
 
 
 class SensorDecoder:
@@ -109,16 +125,16 @@ class SensorDecoder:
         units: tuple[AxisUnit, ...] = (),
         switched: tuple[str, ...] = (),
     ):
-        self._switched = switched
-        self._stop_ignored = bool(receive) and STOP not in receive
-        receive = correction_channels(axes, receive)
-        element_of = {axis: element for element, _, axis in (channel.partition(".") for channel in receive)}
         self._sentype = sentype
-        self._slots = [(element_of[axis], axis) for axis in axes]
-        self._factors = [unit.correction_reading_factor for unit in axis_units(axes, units)]
-        self._wanted = frozenset(
-            (*(element for element, _ in self._slots), STOP, "IPOC", *((SET,) if switched else ()))
-        )
+        self._switched = switched
+        element_of = {
+            axis: element for element, _, axis in (tag.partition(".") for tag in correction_channels(axes, receive))
+        }
+        factors = [unit.correction_reading_factor for unit in axis_units(axes, units)]
+        self._slots = [(element_of[axis], axis, factor) for axis, factor in zip(axes, factors)]
+        self._needed = [*(element for element, *_ in self._slots), *([SET] if switched else [])]
+        #: `Stop` counts where it is declared, or nothing is.
+        self._wanted = frozenset((*self._needed, "IPOC", *([STOP] if STOP in receive or not receive else [])))
 
     def parse(self, data: bytes) -> Reply:
         """Read a reply; its `stop` is None where the element is not declared, or not there."""
@@ -128,50 +144,18 @@ class SensorDecoder:
                 "sentype", f"the reply's Type is {root.get('Type', '')[:64]!r}; expected the SENTYPE {self._sentype!r}"
             )
         found = find_children(root, self._wanted)
-        for element, _ in self._slots:
+        for element in self._needed:
             if element not in found:
                 raise TelegramError("element", f"the reply has no {element} element")
-        values = [read_number(found[element], axis) for element, axis in self._slots]
-        correction = tuple([value * factor for value, factor in zip(values, self._factors)])
-        switched = self._switches(found.get(SET)) if self._switched else ()
-        return Reply(read_ipoc(found), correction, self._stop(found.get(STOP)), switched)
-
-    def _switches(self, element: ElementTree.Element | None) -> tuple[bool, ...]:
-        if element is None:
-            raise TelegramError("element", f"the reply has no {SET} element")
-        texts = [element.get(name) for name in self._switched]
-        for name, text in zip(self._switched, texts):
-            if text is None:
-                raise TelegramError("attribute", f"{SET} has no {name}")
-            if text not in ("0", "1"):
-                raise TelegramError("number", f"{SET} {name} is {text[:32]!r}; expected 0 or 1")
-        return tuple([text == "1" for text in texts])
-
-    def _stop(self, element: ElementTree.Element | None) -> bool | None:
-        if element is None or self._stop_ignored:
-            return None
-        if element.text not in ("0", "1"):
-            raise TelegramError("number", f"{STOP} is {(element.text or '')[:32]!r}; expected 0 or 1")
-        return element.text == "1"
+        target = tuple([read_number(found[element], axis) * factor for element, axis, factor in self._slots])
+        switched = tuple([_is_on(found[SET].get(name), f"{SET} {name}") for name in self._switched])
+        stop = found.get(STOP)
+        return Reply(read_ipoc(found), target, None if stop is None else _is_on(stop.text or "", STOP), switched)
 
 
-def _block(tags: tuple[str, ...], precision: int) -> str:
-    name = tags[0]
-    if is_signal(name):
-        attributes = " ".join(f'{tag.partition(".")[2]}="%d"' for tag in tags)
-        return f"<{name.partition('.')[0]} {attributes}/>"
-    if name in POSE_BLOCKS:
-        return f"<{name} {attribute_template(('X', 'Y', 'Z', 'A', 'B', 'C'), precision)}/>"
-    if name in AXIS_BLOCKS:
-        return f"<{name} {attribute_template(AXIS_BLOCKS[name], precision)}/>"
-    if name == "Delay":
-        return '<Delay D="%d"/>'
-    if status_channels((name,)):
-        element, _, attribute = name.partition(".")
-        return f'<{element} {attribute}="%g"/>' if attribute else f"<{element}>%g</{element}>"
-    known = (*POSE_BLOCKS, *AXIS_BLOCKS, "Delay", *NAMES, "Out.<output>", "In.<input>")
-    raise ConfigurationError("SEND", name, f"one of {', '.join(known)}")
-
-
-def _pose_on_wire(pose: Sequence[float]) -> tuple[float, ...]:
-    return (*(1e3 * value for value in pose[:3]), *map(math.degrees, pose[3:]))
+def _is_on(text: str | None, name: str) -> bool:
+    if text is None:
+        raise TelegramError("attribute", f"the reply has no {name}")
+    if text not in ("0", "1"):
+        raise TelegramError("number", f"{name} is {text[:32]!r}; expected 0 or 1")
+    return text == "1"

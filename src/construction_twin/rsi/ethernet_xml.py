@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 from construction_twin.controller.tool import ENABLE
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, RsiLayout, default_element
-from construction_twin.rsi.tool_channels import IN, OUT, SET, is_set_channel, names_of
+from construction_twin.rsi.tool_channels import IN, OUT, SET, is_set_channel
 
 
 class EthernetXmlError(ConfigurationError):
@@ -39,6 +39,15 @@ MAX_BYTES = 256 * 1024
 
 #: What gateway and mock read of SEND, TYPE DOUBLE (docs/rsi.md, section 2).
 _POSES = ("DEF_RIst", "DEF_RSol", "DEF_AIPos", "DEF_ASPos", "DEF_EIPos", "DEF_ESPos")
+#: What the gateway reads of the position blocks, by DEF_; those of external axes where there are any.
+_MEANING = {
+    "AIPos": "the measured axes",
+    "ASPos": "the pose that corrections are relative to",
+    "EIPos": "the measured external axes",
+    "ESPos": "the external axes' programmed position",
+}
+#: Expected of PORT and IP_NUMBER.
+_PORT, _ADDRESS = "a UDP port from 1 to 65535", "the IPv4 address of the PC"
 _TAG = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}(?:\.[A-Za-z0-9_]{1,31})?").fullmatch
 #: A digital output of the controller, as the file of ros-industrial's driver declares eight of them (docs/rsi.md, section 3).
 _OUTPUT = re.compile(r"Out\.[0-9]{2}").fullmatch
@@ -57,12 +66,9 @@ class EthernetXml:
     layout: RsiLayout
 
 
-@dataclass(frozen=True)
-class _Element:
-    tag: str
-    type: str
-    index: str
-    holdon: str
+def _need(holds: object, where: str, element: str, found: object, expected: str) -> None:
+    if not holds:
+        raise EthernetXmlError(where, element, found, expected)
 
 
 def load_ethernet_xml(path: str | Path) -> EthernetXml:
@@ -81,33 +87,37 @@ def read_ethernet_xml(text: str, where: str) -> EthernetXml:
     """Read the text of an Ethernet XML."""
     root = _document(text, where)
     sections = root.findall("CONFIG")
-    if len(sections) != 1:
-        raise EthernetXmlError(where, "CONFIG", f"{len(sections)} of them", "one")
+    _need(len(sections) == 1, where, "CONFIG", f"{len(sections)} of them", "one")
     config = sections[0]
     protocol = config.findtext("PROTOCOL", "UDP")
-    if protocol.strip().upper() != "UDP":
-        raise EthernetXmlError(where, "CONFIG/PROTOCOL", protocol, "UDP or no such element: a KR C4 talks UDP only")
-    onlysend = _text(config, "ONLYSEND", where, "(?i:TRUE|FALSE)", "TRUE or FALSE").upper() == "TRUE"
+    udp = "UDP or no such element: a KR C4 talks UDP only"
+    _need(protocol.strip().upper() == "UDP", where, "CONFIG/PROTOCOL", protocol, udp)
     letters = "a letter, then letters, digits, '_', '.' or '-'"
     sentype = _text(config, "SENTYPE", where, "[A-Za-z][A-Za-z0-9_.-]{0,63}", letters)
+    port = int(_text(config, "PORT", where, "[0-9]{1,5}", _PORT))
+    _need(0 < port < 65536, where, "CONFIG/PORT", port, _PORT)
+    address = _text(config, "IP_NUMBER", where, "[0-9.]+", _ADDRESS)
+    try:
+        ipaddress.IPv4Address(address)
+    except ipaddress.AddressValueError as error:
+        raise EthernetXmlError(where, "CONFIG/IP_NUMBER", address, _ADDRESS) from error
     send, receive = _elements(root, "SEND", where), _elements(root, "RECEIVE", where)
-    if not send:
-        raise EthernetXmlError(where, "SEND/ELEMENTS", None, "the elements that the controller sends")
-    switched = [element for element in receive if is_set_channel(element.tag)]
-    outputs = [element for element in receive if element.type == "BOOL" and _OUTPUT(element.tag)]
-    filled = [element for element in receive if element not in switched and element not in outputs]
+    _need(send, where, "SEND/ELEMENTS", None, "the elements that the controller sends")
+    switched = {tag: holdon for tag, (_, holdon) in receive.items() if is_set_channel(tag)}
+    outputs = [tag for tag, (type_, _) in receive.items() if type_ == "BOOL" and _OUTPUT(tag)]
+    filled = {tag: holdon for tag, (_, holdon) in receive.items() if tag not in switched and tag not in outputs}
     layout = RsiLayout(
         sentype=sentype,
-        port=_port(config, where),
-        onlysend=onlysend,
-        send=tuple(element.tag.removeprefix("DEF_") for element in send),
-        receive=tuple(element.tag for element in filled),
-        holdon=tuple(element.holdon == "1" for element in filled),
-        not_filled=tuple(element.tag for element in outputs),
-        switched=tuple(element.tag.removeprefix(f"{SET}.") for element in switched),
-        switched_holdon=tuple(element.holdon == "1" for element in switched),
+        port=port,
+        onlysend=_text(config, "ONLYSEND", where, "(?i:TRUE|FALSE)", "TRUE or FALSE").upper() == "TRUE",
+        send=tuple(tag.removeprefix("DEF_") for tag in send),
+        receive=tuple(filled),
+        holdon=tuple(holdon == "1" for holdon in filled.values()),
+        not_filled=tuple(outputs),
+        switched=tuple(tag.removeprefix(f"{SET}.") for tag in switched),
+        switched_holdon=tuple(holdon == "1" for holdon in switched.values()),
     )
-    return EthernetXml(_address(config, where), layout)
+    return EthernetXml(address, layout)
 
 
 def check_axes(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
@@ -119,55 +129,40 @@ def check_axes(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
         element, _, axis = channel.partition(".")
         if channel == STOP:
             continue
-        if axis not in (*ROBOT_AXES, *EXTERNAL_AXES):
-            expected = (
-                "axis corrections (e.g. AK.A1), Stop, a tool's outputs (Set.Enable and e.g. Set.vacuum) and "
-                "outputs of type BOOL (Out.01) only: no other channel is filled; remove it from the file"
-            )
-            raise EthernetXmlError(where, f"RECEIVE {channel}", channel, expected)
-        if axis in elements:
-            raise EthernetXmlError(where, f"RECEIVE {channel}", f"a second channel for {axis}", "one channel per axis")
-        if axis not in axes:
-            raise EthernetXmlError(where, f"RECEIVE {channel}", axis, f"the robot's axes {', '.join(axes)} only")
+        expected = (
+            "axis corrections (e.g. AK.A1), Stop, a tool's outputs (Set.Enable and e.g. Set.vacuum) and "
+            "outputs of type BOOL (Out.01) only: no other channel is filled; remove it from the file"
+        )
+        _need(axis in (*ROBOT_AXES, *EXTERNAL_AXES), where, f"RECEIVE {channel}", channel, expected)
+        twice = f"a second channel for {axis}"
+        _need(axis not in elements, where, f"RECEIVE {channel}", twice, "one channel per axis")
+        _need(axis in axes, where, f"RECEIVE {channel}", axis, f"the robot's axes {', '.join(axes)} only")
         elements[axis] = element
     for axis in axes:
-        if axis not in elements:
-            example = f"{default_element(axis)}.{axis}"
-            raise EthernetXmlError(where, f"RECEIVE {example}", None, f"a correction channel for {axis}, TYPE DOUBLE")
+        example = f"RECEIVE {default_element(axis)}.{axis}"
+        _need(axis in elements, where, example, None, f"a correction channel for {axis}, TYPE DOUBLE")
     for group in (ROBOT_AXES, EXTERNAL_AXES):
         names = sorted({element for axis, element in elements.items() if axis in group})
-        if len(names) > 1:
-            expected = f"one element for all of {group[0]} to {group[-1]}"
-            raise EthernetXmlError(where, f"RECEIVE {names[1]}", names, expected)
-
-
-#: What the gateway reads of the position blocks, by DEF_; those of external axes where there are any.
-_MEANING = {
-    "AIPos": "the measured axes",
-    "ASPos": "the pose that corrections are relative to",
-    "EIPos": "the measured external axes",
-    "ESPos": "the external axes' programmed position",
-}
+        expected = f"one element for all of {group[0]} to {group[-1]}"
+        _need(len(names) < 2, where, f"RECEIVE {''.join(names[1:2])}", names, expected)
 
 
 def check_gateway(layout: RsiLayout, axes: Sequence[str], where: str) -> None:
     """Check that the gateway can serve a controller with this Ethernet XML."""
     check_axes(layout, axes, where)
     external = any(axis in EXTERNAL_AXES for axis in axes)
-    for block in _MEANING:
-        if block not in layout.send and (external or block.startswith("A")):
-            expected = f'TAG="DEF_{block}" INDX="INTERNAL": {_MEANING[block]}'
-            raise EthernetXmlError(where, f"SEND DEF_{block}", None, expected)
-    if "Delay" not in layout.send and not layout.onlysend:
-        expected = (
-            'TAG="DEF_Delay" TYPE="LONG" INDX="INTERNAL": the count of late replies; without it '
-            "the reply after one that did not arrive would be a step"
-        )
-        raise EthernetXmlError(where, "SEND DEF_Delay", None, expected)
-    for channel, holdon in zip(layout.receive, layout.holdon):
-        if channel != STOP and not holdon and not layout.onlysend:
-            expected = '"1": with "0" one missed reply commands a jump back to the start pose'
-            raise EthernetXmlError(where, f"RECEIVE {channel} HOLDON", "0", expected)
+    for block, meaning in _MEANING.items():
+        needed = external or block.startswith("A")
+        expected = f'TAG="DEF_{block}" INDX="INTERNAL": {meaning}'
+        _need(block in layout.send or not needed, where, f"SEND DEF_{block}", None, expected)
+    expected = (
+        'TAG="DEF_Delay" TYPE="LONG" INDX="INTERNAL": the count of late replies; without it '
+        "the reply after one that did not arrive would be a step"
+    )
+    _need("Delay" in layout.send or layout.onlysend, where, "SEND DEF_Delay", None, expected)
+    for channel, held in zip(layout.receive, layout.holdon):
+        expected = '"1": with "0" one missed reply commands a jump back to the start pose'
+        _need(held or channel == STOP or layout.onlysend, where, f"RECEIVE {channel} HOLDON", "0", expected)
     _check_switched(layout, where)
 
 
@@ -176,25 +171,20 @@ def _check_switched(layout: RsiLayout, where: str) -> None:
     holdon = dict(zip(layout.switched, layout.switched_holdon))
     if not holdon:
         return
-    if not holdon.get(ENABLE, False):
-        declared = '"1"' if ENABLE in holdon else f'TAG="{SET}.{ENABLE}" TYPE="BOOL" HOLDON="1"'
-        expected = (
-            f"{declared}: until it is 1 the RSI context leaves the outputs as they are; without it RSI_ON "
-            "itself may open a grip"
-        )
-        raise EthernetXmlError(where, f"RECEIVE {SET}.{ENABLE}", "HOLDON 0" if ENABLE in holdon else None, expected)
-    read_back = names_of(OUT, layout.send)
+    declared = ENABLE in holdon
+    expected = (
+        f"""{'"1"' if declared else f'TAG="{SET}.{ENABLE}" TYPE="BOOL" HOLDON="1"'}: until it is 1 the RSI context leaves """
+        "the outputs as they are; without it RSI_ON itself may open a grip"
+    )
+    _need(holdon.get(ENABLE), where, f"RECEIVE {SET}.{ENABLE}", "HOLDON 0" if declared else None, expected)
     for name in layout.switched:
-        if name != ENABLE and name not in read_back:
-            expected = (
-                f'TAG="{OUT}.{name}" in SEND, the output as DIGOUT reads it: what is not read back is not switched'
-            )
-            raise EthernetXmlError(where, f"RECEIVE {SET}.{name}", None, expected)
+        expected = f'TAG="{OUT}.{name}" in SEND, the output as DIGOUT reads it: what is not read back is not switched'
+        _need(name == ENABLE or name in layout.outputs, where, f"RECEIVE {SET}.{name}", None, expected)
 
 
 def tool_channels(layout: RsiLayout) -> tuple[str, ...]:
     """Return the TAGs of a tool that an Ethernet XML declares; none: a context without hands."""
-    sent = (f"{element}.{name}" for element in (OUT, IN) for name in names_of(element, layout.send))
+    sent = *(f"{OUT}.{name}" for name in layout.outputs), *(f"{IN}.{name}" for name in layout.inputs)
     return (*(f"{SET}.{name}" for name in layout.switched), *sent)
 
 
@@ -203,74 +193,49 @@ def controller_sends_to(path: str | Path, layout: RsiLayout) -> str:
     ethernet = load_ethernet_xml(path)
     for field in fields(RsiLayout):
         found, ours = getattr(ethernet.layout, field.name), getattr(layout, field.name)
-        if found != ours:
-            expected = f"{ours} as in the configuration; export it again from this file"
-            raise EthernetXmlError(str(path), field.name, found, expected)
+        expected = f"{ours} as in the configuration; export it again from this file"
+        _need(found == ours, str(path), field.name, found, expected)
     return ethernet.address
 
 
 def _document(text: str, where: str) -> ElementTree.Element:
-    if len(text) > MAX_BYTES:
-        raise EthernetXmlError(where, "file", f"more than {MAX_BYTES} characters", "an RSI Ethernet XML of a few kB")
+    _need(len(text) <= MAX_BYTES, where, "file", f"more than {MAX_BYTES} characters", "an RSI Ethernet XML of a few kB")
     # that rules out entity expansion
-    if "<!DOCTYPE" in text:
-        raise EthernetXmlError(where, "file", "<!DOCTYPE", "a plain XML without document type")
+    _need("<!DOCTYPE" not in text, where, "file", "<!DOCTYPE", "a plain XML without document type")
     try:
         root = ElementTree.fromstring(text)
     except (ElementTree.ParseError, LookupError, ValueError) as error:
         raise EthernetXmlError(where, "file", str(error), "well-formed XML") from error
-    if root.tag != "ROOT":
-        raise EthernetXmlError(where, "file", root.tag[:64], "the root element ROOT")
+    _need(root.tag == "ROOT", where, "file", root.tag[:64], "the root element ROOT")
     return root
 
 
 def _text(config: ElementTree.Element, name: str, where: str, pattern: str, expected: str) -> str:
     texts = [(element.text or "").strip() for element in config.findall(name)]
-    if len(texts) != 1 or not texts[0]:
-        raise EthernetXmlError(where, f"CONFIG/{name}", texts or None, "one, with a value")
-    if not re.fullmatch(pattern, texts[0]):
-        raise EthernetXmlError(where, f"CONFIG/{name}", texts[0], expected)
+    _need(len(texts) == 1 and texts[0], where, f"CONFIG/{name}", texts or None, "one, with a value")
+    _need(re.fullmatch(pattern, texts[0]), where, f"CONFIG/{name}", texts[0], expected)
     return texts[0]
 
 
-def _port(config: ElementTree.Element, where: str) -> int:
-    expected = "a UDP port from 1 to 65535"
-    port = int(_text(config, "PORT", where, "[0-9]{1,5}", expected))
-    if not 0 < port < 65536:
-        raise EthernetXmlError(where, "CONFIG/PORT", port, expected)
-    return port
-
-
-def _address(config: ElementTree.Element, where: str) -> str:
-    expected = "the IPv4 address of the PC"
-    text = _text(config, "IP_NUMBER", where, "[0-9.]+", expected)
-    try:
-        return str(ipaddress.IPv4Address(text))
-    except ipaddress.AddressValueError as error:
-        raise EthernetXmlError(where, "CONFIG/IP_NUMBER", text, expected) from error
-
-
-def _elements(root: ElementTree.Element, direction: str, where: str) -> list[_Element]:
-    elements: dict[str, _Element] = {}
+def _elements(root: ElementTree.Element, direction: str, where: str) -> dict[str, tuple[str, str]]:
+    """Return TYPE and HOLDON of the elements of a direction by their TAGs, in order."""
+    elements: dict[str, tuple[str, str]] = {}
+    taken: set[str] = set()
     for entry in root.findall(f"{direction}/ELEMENTS/ELEMENT"):
-        element = _Element(*(entry.get(name, "").strip() for name in ("TAG", "TYPE", "INDX", "HOLDON")))
-        place = f"{direction} {element.tag[:64]}"
-        if not _TAG(element.tag):
-            expected = 'a TAG of letters, digits and "_", at most one "." inside'
-            raise EthernetXmlError(where, place, element.tag, expected)
-        if element.tag in elements:
-            raise EthernetXmlError(where, place, "it is there twice", "each TAG once")
-        if (wanted := _type_of(element.tag)) and element.type != wanted:
-            raise EthernetXmlError(where, f"{place} TYPE", element.type, wanted)
-        if element.tag.startswith("DEF_") != (element.index == "INTERNAL"):
-            expected = "INTERNAL for DEF_ elements, and for no others"
-            raise EthernetXmlError(where, f"{place} INDX", element.index, expected)
-        if element.index != "INTERNAL" and element.index in (other.index for other in elements.values()):
-            raise EthernetXmlError(where, f"{place} INDX", element.index, "a channel that no other element has")
-        if direction == "RECEIVE" and element.holdon not in ("0", "1"):
-            raise EthernetXmlError(where, f"{place} HOLDON", element.holdon, '"0" or "1"')
-        elements[element.tag] = element
-    return list(elements.values())
+        tag, type_, index, holdon = (entry.get(name, "").strip() for name in ("TAG", "TYPE", "INDX", "HOLDON"))
+        place, internal = f"{direction} {tag[:64]}", index == "INTERNAL"
+        _need(_TAG(tag), where, place, tag, 'a TAG of letters, digits and "_", at most one "." inside')
+        _need(tag not in elements, where, place, "it is there twice", "each TAG once")
+        wanted = _type_of(tag)
+        _need(type_ == wanted or not wanted, where, f"{place} TYPE", type_, wanted)
+        expected = "INTERNAL for DEF_ elements, and for no others"
+        _need(tag.startswith("DEF_") == internal, where, f"{place} INDX", index, expected)
+        _need(internal or index not in taken, where, f"{place} INDX", index, "a channel that no other element has")
+        taken.add(index)
+        held = direction == "SEND" or holdon in ("0", "1")
+        _need(held, where, f"{place} HOLDON", holdon, '"0" or "1"')
+        elements[tag] = type_, holdon
+    return elements
 
 
 def _type_of(tag: str) -> str:

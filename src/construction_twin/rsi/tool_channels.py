@@ -9,7 +9,7 @@ SEND     In.<input>           the input, 0 or 1
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
 from construction_twin.controller.tool import ENABLE, ToolReading, is_tool_name
 from construction_twin.core.errors import ConfigurationError
@@ -27,24 +27,10 @@ def is_set_channel(tag: str) -> bool:
     return element == SET and (name == ENABLE or is_tool_name(name))
 
 
-def is_signal(tag: str) -> bool:
-    """Return whether a TAG of SEND is an output or an input of a tool."""
-    element, _, name = tag.partition(".")
-    return element in (OUT, IN) and is_tool_name(name)
-
-
 def names_of(element: str, send: Iterable[str]) -> tuple[str, ...]:
     """Return the outputs (``Out``) or inputs (``In``) of a tool that a controller sends, in the order of its SEND."""
     parts = (tag.partition(".") for tag in send)
     return tuple(name for found, _, name in parts if found == element and is_tool_name(name))
-
-
-def grouped(send: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the blocks of a packet: the attributes of `Out`, and of `In`, stand together where the first one does."""
-    blocks: dict[str, list[str]] = {}
-    for tag in send:
-        blocks.setdefault(tag.partition(".")[0] if is_signal(tag) else tag, []).append(tag)
-    return [tuple(block) for block in blocks.values()]
 
 
 class ToolReader:
@@ -83,8 +69,3 @@ def set_element(switched: Sequence[str], values: Sequence[bool]) -> str:
         raise ConfigurationError(SET, tuple(values), f"a value for each of {', '.join(switched)}")
     attributes = " ".join(f'{name}="{int(value)}"' for name, value in zip(switched, values))
     return f"<{SET} {attributes}/>" if attributes else ""
-
-
-def signal_texts(tags: Sequence[str], signals: Mapping[str, bool]) -> list[int]:
-    """Return the values of channels as a controller sends them; what is not known is 0."""
-    return [int(signals.get(tag, False)) for tag in tags]
