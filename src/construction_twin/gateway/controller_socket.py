@@ -142,7 +142,7 @@ class ControllerSocket:
         tool = self._gateway.tool
         assert tool is not None
         holding = tool.channels()
-        if holding is not self._held_channels:
+        if holding != self._held_channels:
             self._held_channels = holding
             ending = encoder.template(True, tool.channels(ending=True))
             self.last_resort.set_templates(encoder.template(None, holding), ending)

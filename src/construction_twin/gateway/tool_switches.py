@@ -26,12 +26,10 @@ LONGEST_TEXT = 160
 MEMORY = 1000
 #: Outputs that read back as something else than commanded for longer than this are told, and nothing is switched [s].
 LONGEST_DIFFERENCE = 0.1
-#: An output that was switched on just now may read back off for so many telegrams: a reply takes effect after it was sent.
-ROUND_TRIP = 5
 #: Inputs that chatter are told no more often than this [s].
 SHORTEST_PAUSE = 0.05
 
-_NOT_TOLD, _FIRED = Sentence("telegrams do not tell Out and In, each channel as 0 or 1"), Sentence("fired")
+_NOT_READABLE, _FIRED = Sentence("telegrams do not tell Out and In, each channel as 0 or 1"), Sentence("fired")
 
 
 @dataclass
@@ -72,12 +70,8 @@ class ToolSwitches:
         self._commanded: tuple[bool, ...] = ()
         self._enabled = False
         self._differs = 0
-        #: Of the outputs that are `off` without RSI: those that have read back on since they were commanded on.
-        self._read_on: set[str] = set()
-        self._since = 0
         self._dropped = ""
         self._unknown = why
-        self._replies: dict[bool, tuple[bool, ...]] = {}
 
     # -- the controller's side
 
@@ -119,45 +113,37 @@ class ToolSwitches:
         """Compare the stored reading; `obstacle`: why the session is not answered, `missed`: the controller missed a reply."""
         self._telegrams += 1
         reading = self._latest
-        why = obstacle or ("" if reading is not None else _NOT_TOLD)
+        why = obstacle or ("" if reading is not None else _NOT_READABLE)
         if why != self._unknown:
             self._unknown, self._urgent = why, True
             if why:
                 self._counters["tool_read_back_lost"] += 1
                 self.void(Sentence("the outputs are not read back: {why}", why=why))
-        if reading is not None and reading is not self._reading:
-            self._compare(reading)
-        if self._enabled:
-            self._drop(reading, missed)
+        if self._enabled and missed:
+            self._drop()
         if reading is None:
             return
-        if not self._enabled:
+        if reading is not self._reading:
+            self._record_changes(reading)
+        if reading.outputs == self._commanded:
+            self._urgent = self._urgent or self._differs > self._longest_difference
+            self._differs = 0
+        elif not self._enabled:
             # whoever else switches them, a person at the pendant or the KRL program, is right
-            if reading.outputs != self._commanded:
-                self._command(reading.outputs)
-                self._read_on.update(name for name, read in zip(self._names, reading.outputs) if read)
-        elif reading.outputs != self._commanded:
+            self._commanded = reading.outputs
+        else:
             self._differs += 1
             if self._differs == self._longest_difference + 1:
                 self._counters["tool_outputs_differ"] += 1
                 self._urgent = True
                 self.void(self.difference)
-        elif self._differs:
-            self._urgent = self._urgent or self._differs > self._longest_difference
-            self._differs = 0
 
-    def _drop(self, reading: ToolReading | None, missed: bool) -> None:
+    def _drop(self) -> None:
         """Command off what the controller has switched off at a missed reply: a reply that arrives must not be an edge."""
-        self._since += 1
-        read = dict(zip(self._names, reading.outputs)) if reading is not None else {}
-        dropped = []
-        for name in [name for name, value in zip(self._names, self._commanded) if value and name in self._off]:
-            if not missed and read.get(name) is True:
-                self._read_on.add(name)
-            elif missed or (read.get(name) is False and (name in self._read_on or self._since > ROUND_TRIP)):
-                dropped.append(name)
+        pairs = zip(self._names, self._commanded)
+        dropped = [name for name, value in pairs if value and name in self._off]
         if dropped:
-            self._command(tuple(value and name not in dropped for name, value in zip(self._names, self._commanded)))
+            self._command(dict.fromkeys(dropped, False))
             self._dropped = Sentence(
                 "{names} went off with a missed reply, and stays off until it is switched on anew",
                 names=", ".join(dropped),
@@ -166,7 +152,7 @@ class ToolSwitches:
             self.void(self._dropped)
             self._urgent = True
 
-    def _compare(self, reading: ToolReading) -> None:
+    def _record_changes(self, reading: ToolReading) -> None:
         before, self._reading = self._reading, reading
         if before is None or reading.outputs != before.outputs:
             self._urgent = True
@@ -179,26 +165,22 @@ class ToolSwitches:
         while self._armed and self._armed[0].stamp <= stamp:
             switch = self._armed.pop(0)
             self._enabled, self._dropped = True, ""
-            pairs = zip(self._names, self._commanded)
-            self._command(tuple(switch.value if name == switch.output else value for name, value in pairs))
+            self._command({switch.output: switch.value})
             self._counters["tool_switches_fired"] += 1
             self._urgent = True
             switch.state, switch.reason = SwitchState.FIRED, _FIRED
 
-    def _command(self, values: tuple[bool, ...]) -> None:
-        self._read_on &= {name for name, value in zip(self._names, values) if value}
-        self._commanded, self._differs, self._since = values, 0, 0
-        self._replies.clear()
+    def _command(self, values: dict[str, bool]) -> None:
+        pairs = zip(self._names, self._commanded)
+        self._commanded, self._differs = tuple([values.get(name, value) for name, value in pairs]), 0
 
     def channels(self, ending: bool = False) -> tuple[bool, ...]:
         """Return what a reply carries by `Layout.switched`; an `ending` one switches off what is off without RSI."""
-        if ending not in self._replies:
-            values = dict(zip(self._names, self._commanded))
-            if ending and self._enabled:
-                values |= dict.fromkeys(self._off, False)
-            values[ENABLE] = self._enabled
-            self._replies[ending] = tuple(values.get(name, False) for name in self._channels)
-        return self._replies[ending]
+        values = dict(zip(self._names, self._commanded))
+        if ending and self._enabled:
+            values |= dict.fromkeys(self._off, False)
+        values[ENABLE] = self._enabled
+        return tuple([values.get(name, False) for name in self._channels])
 
     # -- the command side
 
@@ -222,13 +204,10 @@ class ToolSwitches:
         why = obstacle or self._refusal(switch, lead)
         self._urgent = True
         if why:
-            refusal = Sentence("tool: {why}", why=why)
-            switch.state, switch.reason = SwitchState.REFUSED, refusal
-            return refusal
-        switch.state, switch.reason = (
-            SwitchState.ARMED,
-            Sentence("fires with the setpoint of {stamp}", stamp=switch.stamp),
-        )
+            switch.state, switch.reason = SwitchState.REFUSED, Sentence("tool: {why}", why=why)
+            return switch.reason
+        switch.state = SwitchState.ARMED
+        switch.reason = Sentence("fires with the setpoint of {stamp}", stamp=switch.stamp)
         self._armed.append(switch)
         self._armed.sort(key=lambda waiting: waiting.stamp)
         return ""
