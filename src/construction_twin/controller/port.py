@@ -13,8 +13,9 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar
 from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.last_resort import LastResort
 from construction_twin.controller.telegram import Reply, Telegram
-from construction_twin.controller.tool import ToolReading
+from construction_twin.controller.tool import GatewayTool, ToolReading
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.limits import MotionLimits
 
 
 class Layout(Protocol):
@@ -65,8 +66,43 @@ class Layout(Protocol):
 
 #: The layout of one make: what its functions return they take again, so that mypy checks a make as a whole.
 LayoutT = TypeVar("LayoutT", bound=Layout)
-#: What a make may know of the arm: the gateway's configuration (`gateway.config.GatewayConfig`), which stands above this folder.
-Setup = Any
+LayoutT_co = TypeVar("LayoutT_co", bound=Layout, covariant=True)
+
+
+class Setup(Protocol[LayoutT_co]):
+    """What a make may know of an arm and its link: the gateway's configuration. Tuples are of length n; rad, m."""
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names in telegrams."""
+
+    @property
+    def units(self) -> tuple[AxisUnit, ...]:
+        """How each axis is written in telegrams."""
+
+    @property
+    def limits(self) -> MotionLimits:
+        """The axes' limits."""
+
+    @property
+    def start_tolerances(self) -> tuple[float, ...]:
+        """How close to the held pose a stream may begin."""
+
+    @property
+    def cycle(self) -> int:
+        """The controller's cycle [ms]."""
+
+    @property
+    def reference(self) -> str:
+        """One of `Make.references`; "" for a make that has none."""
+
+    @property
+    def layout(self) -> LayoutT_co:
+        """The controller's telegrams."""
+
+    @property
+    def tool(self) -> GatewayTool | None:
+        """The tool at the flange."""
 
 
 class ControllerStatus(Protocol):
@@ -243,11 +279,11 @@ class Make(Generic[LayoutT]):
     no_status: ControllerStatus
     plain: Callable[[Sequence[str]], LayoutT]
     read_layout: Callable[[dict[str, Any]], LayoutT]
-    check: Callable[[Setup], None]
-    reader: Callable[[Setup], Reader]
-    encoder: Callable[[Setup], Encoder]
-    rules: Callable[[Setup], SessionRules]
-    last_resort: Callable[[Setup], LastResort]
+    check: Callable[[Setup[LayoutT]], None]
+    reader: Callable[[Setup[LayoutT]], Reader]
+    encoder: Callable[[Setup[LayoutT]], Encoder]
+    rules: Callable[[Setup[LayoutT]], SessionRules]
+    last_resort: Callable[[Setup[LayoutT]], LastResort]
     check_axes: Callable[[LayoutT, Sequence[str]], None]
     controller_side: Callable[[LayoutT, tuple[str, ...], tuple[AxisUnit, ...], int], ControllerSide]
     tool_channels: Callable[[LayoutT], tuple[str, ...]]

@@ -129,7 +129,7 @@ def check_tool(tool: GatewayTool | None, layout: RsiLayout, where: str) -> None:
 class RsiSessionRules:
     """One RSI session after the other, see `SessionRules`."""
 
-    def __init__(self, setup: Setup):
+    def __init__(self, setup: Setup[RsiLayout]):
         self.follows = setup.reference == "ASPos"
         self._limits = setup.limits
         self._tolerances = setup.start_tolerances
@@ -201,7 +201,7 @@ _find_ipoc = re.compile(rb"<IPOC>\s*([0-9]{1,20})\s*</IPOC>").search
 _find_delay = re.compile(rb"""<Delay\s+D\s*=\s*["']([0-9]{1,20})["']""").search
 
 
-def check(setup: Setup) -> None:
+def check(setup: Setup[RsiLayout]) -> None:
     """Check that RSI can serve an arm as it is configured."""
     check_gateway(setup.layout, setup.axes, _FILE)
     check_tool(setup.tool, setup.layout, _FILE)
@@ -212,7 +212,7 @@ def layout_of(path_or_text: str) -> RsiLayout:
     return (read_ethernet_xml(path_or_text, _FILE) if "\n" in path_or_text else load_ethernet_xml(path_or_text)).layout
 
 
-def reader(setup: Setup) -> Reader:
+def reader(setup: Setup[RsiLayout]) -> Reader:
     """Return what reads the telegrams of one configuration."""
     channels, tool = status_channels(setup.layout.send), setup.tool
     return Reader(
@@ -222,12 +222,12 @@ def reader(setup: Setup) -> Reader:
     )
 
 
-def encoder(setup: Setup) -> SensorEncoder:
+def encoder(setup: Setup[RsiLayout]) -> SensorEncoder:
     """Return what writes the replies of one configuration."""
     return SensorEncoder.of(setup.layout, setup.axes, setup.units)
 
 
-def last_resort(setup: Setup) -> LastResort:
+def last_resort(setup: Setup[RsiLayout]) -> LastResort:
     """Return what answers RSI after the gateway has failed."""
     if not setup.layout.answered:
         return LastResort(setup.limits, None, setup.cycle)
