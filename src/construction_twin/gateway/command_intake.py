@@ -15,8 +15,6 @@ from construction_twin.mqtt.messages import CommandProperties
 
 #: The grid of unstamped commands moves by one part in so many of its distance to each arrival: it follows drift within minutes.
 ARRIVAL_SMOOTHING = 16_384
-#: Commands after which it is asked whether all of them were late on that grid (1 s): then some were lost before.
-ARRIVAL_BLOCK = 250
 #: Sequence numbers behind the newest of which it is remembered whether they were taken.
 REMEMBERED = 64
 #: Sequence numbers that one command may be ahead of the last one taken: more than are sent while a stream survives.
@@ -44,8 +42,6 @@ class CommandStream:
         # bit k: the number k below the newest was taken
         self._received = 0
         self._travel_time.restart()
-        self._last_q: tuple[float, ...] = ()
-        self._begin_block()
 
     def read(
         self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int
@@ -60,8 +56,7 @@ class CommandStream:
         if isinstance(properties, PayloadError):
             raise properties
         if not self._config.properties:
-            q = self._codec.decode(payload)
-            return self._arrival_stamp(now, q), q, 0
+            return self._arrival_stamp(now), self._codec.decode(payload), 0
         if properties is None:
             raise PayloadError("properties", "command without session, seq and stamp")
         if properties.session != self.session:
@@ -84,36 +79,15 @@ class CommandStream:
         self._received = 1 if step >= REMEMBERED else (self._received << step | 1) & _ALL
         return properties.stamp, q, step - 1
 
-    def _arrival_stamp(self, now: int, q: tuple[float, ...]) -> int:
+    def _arrival_stamp(self, now: int) -> int:
         """Return a stamp for a command without one: the sender's 4 ms grid, begun anew after a gap in which it was given up.
 
-        A lost command leaves the grid a cycle late. It is brought back where the stream rests and nothing depends on it; in
-        motion the step is what it looks like, one over two cycles in the time of one, and the motion check refuses it.
+        A lost command leaves the grid a cycle late for some minutes. In motion the step is what it looks like, one over two cycles
+        in the time of one, and the motion check refuses it.
         """
         expected = self.last_stamp + CYCLE_NS
         distance = now - expected
-        if abs(distance) > self._longest_wait:
-            self._begin_block()
-            return now
-        expected += self._lateness(distance, q)
-        return expected + distance // ARRIVAL_SMOOTHING
-
-    def _begin_block(self) -> None:
-        self._block_length = 0
-        self._block_rests = True
-        self._block_lateness = self._longest_wait
-
-    def _lateness(self, distance: int, q: tuple[float, ...]) -> int:
-        """Return by how much every command of a resting second came late [ns], when that second is over; else 0."""
-        self._block_length += 1
-        self._block_rests = self._block_rests and q == self._last_q
-        self._block_lateness = min(self._block_lateness, distance)
-        self._last_q = q
-        if self._block_length < ARRIVAL_BLOCK:
-            return 0
-        late = self._block_lateness if self._block_rests and self._block_lateness > CYCLE_NS // 2 else 0
-        self._begin_block()
-        return late
+        return now if abs(distance) > self._longest_wait else expected + distance // ARRIVAL_SMOOTHING
 
 
 class StreamBroken(Exception):

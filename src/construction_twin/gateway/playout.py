@@ -32,9 +32,6 @@ from construction_twin.gateway.playout_rate import PlayoutRate
 PIECE = NANOSECONDS
 #: Pieces that count for the jitter: what is not seen again for 20 s is forgotten.
 JITTER_PIECES = 20
-#: Pieces that count for the drift, and how many of them it takes.
-DRIFT_PIECES = 60
-DRIFT_MINIMUM = 10
 _FAR = 1 << 63
 
 
@@ -54,9 +51,7 @@ class Arrivals:
         """Begin with another stream; what was seen of the link counts for another window."""
         self._highs: deque[int] = deque(maxlen=JITTER_PIECES)
         self._lows: deque[int] = deque(maxlen=JITTER_PIECES)
-        self._offsets: deque[tuple[int, int]] = deque(maxlen=DRIFT_PIECES)
         self._piece_ends = PIECE
-        self._quickest: int | None = None
         self._started = self._changed = False
         self.high = self.low = 0
         self._high = self._low = 0
@@ -95,38 +90,18 @@ class Arrivals:
         changed, self._changed = self._changed, False
         return changed
 
-    def on_command(self, lead: int, offset: int) -> None:
-        """Observe a command's arrival [ns].
-
-        Args:
-            lead: How far what was there reached beyond the controller's clock at the last telegram.
-            offset: Its stamp minus the controller's clock, interpolated to its arrival.
-        """
-        if self._quickest is None or offset > self._quickest:
-            self._quickest = offset
+    def on_command(self, lead: int) -> None:
+        """Observe a command's arrival: how far what was there reached beyond the controller's clock at the last telegram [ns]."""
         if self._started and lead < self._low:
             self._low = lead
             if lead < self.low:
                 self.low, self._changed = lead, True
-
-    def drift_ppm(self) -> float | None:
-        """Return by how much the sender's clock is faster than the controller's, by least squares; None before it can be told."""
-        count = len(self._offsets)
-        if count < DRIFT_MINIMUM:
-            return None
-        mean_time = sum(time for time, _ in self._offsets) / count
-        mean_offset = sum(offset for _, offset in self._offsets) / count
-        covariance = sum((time - mean_time) * (offset - mean_offset) for time, offset in self._offsets)
-        return 1e6 * covariance / sum((time - mean_time) ** 2 for time, _ in self._offsets)
 
     def _close_piece(self, clock: int) -> None:
         self._highs.append(self._high)
         self._lows.append(self._low)
         if len(self._highs) == JITTER_PIECES:
             self.learned = 0
-        if self._quickest is not None:
-            self._offsets.append((clock, self._quickest))
-        self._quickest = None
         self._piece_ends = clock + PIECE
         self.high, self.low = max(self._highs), min(self._lows)
         # worse than anything: the next telegram and the next command set them
@@ -242,7 +217,7 @@ class Playout:
             commands[-1] = stamp, q
         else:
             commands.append((stamp, q))
-        self._arrivals.on_command(self.newest - self._clock, stamp - self._clock - waited)
+        self._arrivals.on_command(self.newest - self._clock)
         self.newest = stamp
         return stamp > self._now
 
@@ -277,8 +252,7 @@ class Playout:
         return stamp, target
 
     def status_fields(self) -> dict:
-        """Return what the playout does, for the status: ms, ppm, and the rate's deviation in percent."""
-        drift = self._arrivals.drift_ppm()
+        """Return what the playout does, for the status: ms, and the rate's deviation in percent."""
         return {
             "delay_ms": self.delay / 1e6,
             "jitter_ms": self._arrivals.observed / 1e6,
@@ -286,7 +260,6 @@ class Playout:
             "to_move_ms": self.rate.remaining / 1e6,
             "put_off_ms": self.rate.put_off / 1e6,
             "rate_percent": 100.0 * (self.rate.shift / self.rate.cycle_ns),
-            "drift_ppm": None if drift is None else round(drift, 1),
         }
 
     @property

@@ -112,7 +112,6 @@ def test_clocks_that_drift_apart_by_a_cycle_change_nothing(drift_ppm):
     # while time is moved at a rate r, the servo's lag of 8 ms counts 8 ms (1 + r) in stamps
     assert worst_error(chain) <= 1.1e-8 + fastest(chain) * 0.008 * CALM.ahead
     assert chain.gateway.counters["settling"] == chain.gateway.counters["cycles_without_command"] == 0
-    assert chain.gateway.status()["playout"]["drift_ppm"] == pytest.approx(drift_ppm, abs=1.0)
     assert_corrections_inside_limits(chain)
 
 

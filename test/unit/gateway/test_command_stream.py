@@ -93,17 +93,6 @@ def test_commands_without_stamps_lie_on_a_grid_that_jitter_hardly_moves():
     assert max(abs(step - CYCLE_NS) for step in steps) <= 20_000_000 // ARRIVAL_SMOOTHING + 1
 
 
-def test_commands_that_were_lost_set_the_grid_back_only_until_the_stream_has_rested_for_a_second_or_two():
-    stream = make_stream(BARE)
-    lost, stamps = 0, []
-    for k in range(1200):
-        lost += k in (100, 101, 150)
-        stamps.append(arrive(stream, NANOSECONDS + (k + lost) * CYCLE_NS, 0.001 * k if k < 400 else 0.4) - NANOSECONDS)
-    assert stamps[399] == pytest.approx(399 * CYCLE_NS, abs=500_000)
-    assert stamps[-1] == pytest.approx((1199 + lost) * CYCLE_NS, abs=10_000)
-    assert all(b > a for a, b in zip(stamps, stamps[1:]))
-
-
 def test_a_sender_that_was_given_up_begins_a_grid_of_its_own():
     stream = make_stream(BARE)
     arrive(stream, NANOSECONDS)

@@ -174,7 +174,6 @@ def test_drifting_clocks_are_followed_without_a_step_and_without_running_dry(ppm
     assert MARGIN - 2 * CYCLE_NS <= min(leads) <= max(leads) <= DELAY + 2 * CYCLE_NS
     change = [abs(b - a) for a, b in zip(rates(stamps), rates(stamps)[1:])]
     assert max(map(abs, rates(stamps))) <= CALM.ahead and max(change) <= CALM_CHANGE + 1e-12
-    assert network.playout.status_fields()["drift_ppm"] == pytest.approx(ppm, abs=1.0)
     # between two moves it is played on the stamps
     assert sum((stamp - T0) % CYCLE_NS == 0 for stamp in stamps) > 0.9 * len(stamps)
 
