@@ -70,7 +70,7 @@ LayoutT_co = TypeVar("LayoutT_co", bound=Layout, covariant=True)
 
 
 class Setup(Protocol[LayoutT_co]):
-    """What a make may know of an arm and its link: the gateway's configuration. Tuples are of length n; rad, m."""
+    """A make's view of an arm and its link: the gateway's configuration. Tuples are of length n; rad, m."""
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -106,14 +106,14 @@ class Setup(Protocol[LayoutT_co]):
 
 
 class ControllerStatus(Protocol):
-    """What a controller says of itself: its mode, its program, what stops or limits the arm."""
+    """A controller's report on itself: its mode, its program, what stops or limits the arm."""
 
     @property
     def sentence(self) -> str:
-        """Why the arm may not move, or not as expected; "" when nothing of this kind is known."""
+        """Why the arm may not move, or not as expected; "": nothing of this kind is known."""
 
     def status_fields(self) -> dict[str, str | float]:
-        """Return what `status` tells of it; {} when nothing is known."""
+        """Return its fields of `status`; {}: nothing is known."""
 
 
 @dataclass(frozen=True)
@@ -122,8 +122,8 @@ class Reader:
 
     Attributes:
         parse: A datagram as telegram, or TelegramError.
-        status: What the controller says of itself in it, and how many channels cannot be read. None: it says nothing.
-        tool: A tool's outputs and inputs in it, None when they are not told clearly. None: no tool.
+        status: The status in a datagram, and the number of its channels that cannot be read; None: telegrams carry none.
+        tool: A tool's signals in a datagram, None where they are not clear; None: no tool.
     """
 
     parse: Callable[[bytes], Telegram]
@@ -135,7 +135,7 @@ class Encoder(Protocol):
     """Writes the replies to one controller."""
 
     def template(self, stop: bool | None, switched: tuple[bool, ...] = (), /) -> bytes:
-        """Return what a reply is made from that ends the program (True) or does not; the make's own last resort takes it."""
+        """Return the template of a reply that ends the program (True) or does not, for the make's last resort."""
 
     def encode(
         self, target: Sequence[float], stamp: int, stop: bool | None = None, switched: tuple[bool, ...] = (), /
@@ -143,8 +143,8 @@ class Encoder(Protocol):
         """Return the reply to a telegram.
 
         Args:
-            target: Length n. Position of the axes, or its correction, as `Make.absolute` says [rad], [m].
-            stop: True: it ends the controller's program; None: it does not.
+            target: Length n. Position of the axes, or its correction (`Make.absolute`) [rad], [m].
+            stop: True ends the controller's program.
             switched: One value per name of `Layout.switched`; () leaves a tool's outputs alone.
         """
 
@@ -178,7 +178,7 @@ class SessionRules(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class MockStatus:
-    """What a mock says of itself, in the make's numbers, override in percent; None: what is. `slow`: its tool speed is limited."""
+    """Status of a mock in the make's numbers, override in percent; None: as it is. `slow`: its tool speed is limited."""
 
     mode: int | None = None
     program: int | None = None
@@ -191,12 +191,11 @@ class ControllerSide:
     """The controller's side of the telegrams, for a mock of it.
 
     Attributes:
-        encode: A telegram, from stamp, pose and what the axes follow (each of length n), both as pose of the tool (length 6: [m],
+        encode: A telegram, from stamp, measured and followed position (length n), both as pose of the tool (length 6: [m],
             A, B, C [rad]), count of missed replies, status, and a tool's outputs (None: hidden) and inputs by name.
         decode: A reply, or TelegramError; None: no reply is expected.
         holds: Length n. Whether an axis keeps its target when a reply is missed, or falls back to the start pose.
         holds_stop: The same for the end of the program.
-        status: What a telegram says of the controller.
     """
 
     encode: Callable[..., bytes]
@@ -208,15 +207,12 @@ class ControllerSide:
 
 @dataclass(frozen=True)
 class Words:
-    """What people call things on a make's pendant and in its files.
+    """Words of a make's pendant and files.
 
     Attributes:
-        stamp: The count in a telegram.
-        read_only: That nothing is answered, and why.
         no_stop: Why a reply cannot end the program, and what to do.
-        ends, ended: What happens when the end was asked for, and what has happened then.
+        ends, ended: How the program will end, and has ended.
         cycle, cycles: How a cycle is chosen on the controller, with ``{}`` for its name, and the same of all of them.
-        timeout: The controller's own time-out.
         description: The file that describes the telegrams.
     """
 
@@ -237,12 +233,11 @@ class FileForm(Generic[LayoutT]):
     """The files in which a make describes its telegrams.
 
     Attributes:
-        name: For messages.
-        ending: Of the name of a file that was written for an arm.
-        to_fill: What a person must fill into a file that was written.
-        read: The layout that a file says, from its path or text (several lines).
+        ending: Of a written file's name.
+        to_fill: What a person must fill into a written file.
+        read: The layout of a file, from its path or text (several lines).
         write: The text of a file, from the axes.
-        sends_to: Address that a controller sends to, from the path of its file, which must say what the layout does.
+        sends_to: Address that a controller sends to, from the path of its file, which must have the same layout.
     """
 
     name: str
@@ -258,17 +253,15 @@ class Make(Generic[LayoutT]):
     """One make of controller.
 
     Attributes:
-        name: As `makes` knows it, and `Layout.make`.
         absolute: True: replies carry positions of the axes; False: corrections to an origin.
-        cycles: Those that it has [ms], each with its name on the controller.
-        references: What corrections may be relative to, in its words, the usual one first; (): there is nothing to choose.
-        no_status: What it says of itself before the first telegram.
+        cycles: Its cycles [ms], each with its name on the controller.
+        references: What corrections may be relative to, in its words, the usual one first; (): nothing to choose.
         plain: The layout of an arm without a file, from its axes.
         read_layout: The layout from its fields; TypeError when they are none.
         check: Raises ConfigurationError when the arm cannot be served as configured.
         check_axes: Raises ConfigurationError when the layout is not one of these axes.
         controller_side: Of a mock, from layout, axes, their units and the decimals of sent values.
-        tool_channels: The channels of a tool that a layout has, for people; none: a tool without hands.
+        tool_channels: The channels of a tool in a layout, for people; none: a tool without hands.
         file: None: no file describes its telegrams.
     """
 

@@ -34,58 +34,10 @@ from construction_twin.rsi.tool_channels import set_element
 
 #: What values may consist of, all of them together, so that they cannot change what is around them.
 _is_plain = re.compile(rb"[-+.0-9A-Za-z]*").fullmatch
-#: Whole numbers that fit into 64 bits whatever their digits.
+#: Matches whole numbers that fit into 64 bits whatever their digits.
 is_count = re.compile(rb"[0-9]{1,19}").fullmatch
 _TAG = re.compile(rb"<([A-Za-z]\w*)")
 _ATTRIBUTE = re.compile(rb"\s([A-Za-z]\w*)=$").search
-#: The end of a telegram, behind the last attribute.
-_END = re.compile(rb"([^\"]*<IPOC>)[0-9]+(</IPOC></[A-Za-z]+>\s*)").fullmatch
-
-
-class TelegramShape:
-    """One telegram's shape; made by `of`. The next telegram of it needs no XML parser: it differs in its numbers alone."""
-
-    def __init__(self, texts: list[bytes], end: tuple[bytes, bytes], places: list[int]):
-        self._texts = texts
-        self._before, self._behind = end
-        self._places = places
-
-    @classmethod
-    def of(cls, data: bytes, wanted: Sequence[tuple[str, str]]) -> TelegramShape | None:
-        """Return the shape of a telegram that was read as XML; wanted are values by element and attribute.
-
-        None where the text does not show what its values stand for: a wanted one is missing or there twice, IPOC is not the last.
-        """
-        if b"'" in data:
-            return None
-        *texts, last = data.split(b'"')[0::2]
-        end = _END(last)
-        keys, tag = [], ""
-        for text in texts:
-            for found in _TAG.finditer(text):
-                tag = found[1].decode()
-            attribute = _ATTRIBUTE(text)
-            if attribute is None:
-                return None
-            keys.append((tag, attribute[1].decode()))
-        if end is None or any(keys.count(key) != 1 for key in wanted):
-            return None
-        return cls(texts, (end[1], end[2]), [keys.index(key) for key in wanted])
-
-    def read(self, data: bytes) -> tuple[int, list[bytes]] | None:
-        """Return IPOC and the wanted values of a telegram; None when it has another shape."""
-        parts = data.split(b'"')
-        texts, values = parts[0::2], parts[1::2]
-        last = texts.pop()
-        if texts != self._texts or not _is_plain(b"".join(values)) or len(data) > MAX_TELEGRAM:
-            return None
-        if not (last.startswith(self._before) and last.endswith(self._behind)):
-            return None
-        ipoc = last[len(self._before) : len(last) - len(self._behind)]
-        if not is_count(ipoc):
-            return None
-        return int(ipoc), [values[place] for place in self._places]
-
 
 #: Decimals of a degree or mm in a correction, as every known driver sends them (docs/rsi.md, section 3).
 CORRECTION_DECIMALS = 6
@@ -93,31 +45,49 @@ CORRECTION_DECIMALS = 6
 RELEARN_AFTER = 250
 
 
+def split_values(data: bytes) -> tuple[list[bytes], list[bytes], bytes]:
+    """Return what is the same in telegrams of one shape, and what is not: the values of attributes, and IPOC."""
+    parts = data.split(b'"')
+    head, _, rest = parts[-1].partition(b"<IPOC>")
+    ipoc, _, tail = rest.partition(b"</IPOC>")
+    return [*parts[:-1:2], head, tail], parts[1::2], ipoc
+
+
+def places_of(texts: Sequence[bytes], wanted: Sequence[tuple[str, str]]) -> list[int] | None:
+    """Return which values are the wanted ones, by element and attribute; None where the texts of a shape do not show it."""
+    keys, tag = [], ""
+    for text in texts[:-2]:
+        for found in _TAG.finditer(text):
+            tag = found[1].decode()
+        attribute = _ATTRIBUTE(text)
+        if attribute is None:
+            return None
+        keys.append((tag, attribute[1].decode()))
+    shown = b"'" not in b"".join(texts) and all(keys.count(key) == 1 for key in wanted)
+    return [keys.index(key) for key in wanted] if shown else None
+
+
 class RobotDecoder:
-    """Reads the axes of one configuration from controller packets; without `units` all are revolute, in the controller's own."""
+    """Reads the axes of one configuration from controller packets; without `units` all are revolute, in the controller's own.
+
+    A telegram of the shape of one that was read as XML differs in its numbers alone, and needs no parser.
+    """
 
     def __init__(self, axes: tuple[str, ...], units: tuple[AxisUnit, ...] = ()):
-        units = axis_units(axes, units)
-        self._scale = [(unit.reading_factor, unit.zero) for unit in units]
-        external = [axis in EXTERNAL_AXES for axis in axes]
-        self._measured_blocks = _blocks("AIPos", "EIPos", external)
-        self._setpoint_blocks = _blocks("ASPos", "ESPos", external)
-        #: Per axis: which of the blocks, and the attribute in it.
-        self._slots = [(int(out and not all(external)), axis) for out, axis in zip(external, axes)]
-        self._wanted = frozenset((*self._measured_blocks, *self._setpoint_blocks, "Delay", "IPOC"))
-        positions = [
-            (blocks[block], axis)
-            for blocks in (self._measured_blocks, self._setpoint_blocks)
-            for block, axis in self._slots
-        ]
-        self._in_shape = (*positions, ("Delay", "D"))
-        self._shape: TelegramShape | None = None
+        self._scale = [(unit.reading_factor, unit.zero) for unit in axis_units(axes, units)]
+        #: Element and attribute of each axis.
+        self._measured, self._programmed = (
+            [(f"{'E' if axis in EXTERNAL_AXES else 'A'}{block}", axis) for axis in axes] for block in ("IPos", "SPos")
+        )
+        self._wanted = frozenset((*(block for block, _ in (*self._measured, *self._programmed)), "Delay", "IPOC"))
+        self._shape: list[bytes] = []
+        self._places: list[int] | None = None
         self._relearn_in = 0
         self._setpoint: tuple[list[bytes], tuple[float, ...]] = [], ()
 
     def parse(self, data: bytes) -> Telegram:
         """Read a controller packet; one of IPOC alone is legal, and so are an XML declaration and exponents."""
-        known = self._of_shape(self._shape, data) if self._shape is not None else None
+        known = self._of_shape(data) if self._places is not None else None
         if known:
             return known
         document = without_declaration(data)
@@ -125,8 +95,8 @@ class RobotDecoder:
         delay = found.get("Delay")
         telegram = Telegram(
             read_ipoc(found),
-            self._positions(found, self._measured_blocks),
-            self._positions(found, self._setpoint_blocks),
+            self._positions(found, self._measured),
+            self._positions(found, self._programmed),
             None if delay is None else read_count(delay.get("D"), "Delay D", "number"),
         )
         if self._relearn_in:
@@ -137,47 +107,40 @@ class RobotDecoder:
 
     def _learn(self, data: bytes, telegram: Telegram) -> None:
         self._relearn_in = RELEARN_AFTER
-        self._shape = TelegramShape.of(data, self._in_shape)
-        if self._shape is not None and self._of_shape(self._shape, data) != telegram:
+        self._shape = split_values(data)[0]
+        self._places = places_of(self._shape, (*self._measured, *self._programmed, ("Delay", "D")))
+        if self._places is not None and self._of_shape(data) != telegram:
             # the same words stand elsewhere too, e.g. in an element of an element
-            self._shape = None
+            self._places = None
 
-    def _of_shape(self, shape: TelegramShape, data: bytes) -> Telegram | None:
+    def _of_shape(self, data: bytes) -> Telegram | None:
         """Read a telegram of the same shape as the last one; None when it does not, or when it is to be refused."""
-        found = shape.read(data)
-        if found is None:
+        texts, values, ipoc = split_values(data)
+        if texts != self._shape or not _is_plain(b"".join(values)) or len(data) > MAX_TELEGRAM or not is_count(ipoc):
             return None
-        ipoc, (*texts, delay) = found
-        if not is_count(delay) or not (all(map(is_fixed_in_bytes, texts)) or all(map(is_number_in_bytes, texts))):
+        *numbers, delay = [values[place] for place in self._places or ()]
+        if not is_count(delay) or not (all(map(is_fixed_in_bytes, numbers)) or all(map(is_number_in_bytes, numbers))):
             return None
         count = len(self._scale)
-        if texts[count:] != self._setpoint[0]:
+        if numbers[count:] != self._setpoint[0]:
             # it is the same for as long as the controller is only corrected
-            self._setpoint = texts[count:], self._si(texts[count:])
-        return Telegram(ipoc, self._si(texts[:count]), self._setpoint[1], int(delay))
+            self._setpoint = numbers[count:], self._si(numbers[count:])
+        return Telegram(int(ipoc), self._si(numbers[:count]), self._setpoint[1], int(delay))
 
     def _si(self, texts: list) -> tuple[float, ...]:
         return tuple([float(text) * factor - zero for text, (factor, zero) in zip(texts, self._scale)])
 
-    def _positions(self, found: dict, blocks: tuple[str, ...]) -> tuple[float, ...] | None:
-        elements = [found[block] for block in blocks if block in found]
-        if len(elements) != len(blocks):
-            if not elements:
-                return None
-            missing = next(block for block in blocks if block not in found)
-            raise TelegramError("element", f"the telegram has no {missing}, but another block of the same kind")
-        texts = [elements[block].get(axis) for block, axis in self._slots]
-        for text in texts:
+    def _positions(self, found: dict, slots: list[tuple[str, str]]) -> tuple[float, ...] | None:
+        missing = [block for block, _ in slots if block not in found]
+        if len(missing) == len(slots):
+            return None
+        if missing:
+            raise TelegramError("element", f"the telegram has no {missing[0]}, but another block of the same kind")
+        texts = [found[block].get(axis) for block, axis in slots]
+        for (block, axis), text in zip(slots, texts):
             if text is None or not is_number(text):
-                for block, axis in self._slots:
-                    read_number(elements[block], axis, exponent=True)
+                read_number(found[block], axis, exponent=True)
         return self._si(texts)
-
-
-def _blocks(robot: str, external: str, is_external: list[bool]) -> tuple[str, ...]:
-    if not any(is_external):
-        return (robot,)
-    return (external,) if all(is_external) else (robot, external)
 
 
 class SensorEncoder:

@@ -13,7 +13,7 @@ from construction_twin.controller.telegram import Telegram
 from construction_twin.core.errors import TelegramError
 from construction_twin.rsi import gateway_codec as codec
 from construction_twin.rsi.controller_codec import RobotEncoder
-from construction_twin.rsi.gateway_codec import RobotDecoder, TelegramShape
+from construction_twin.rsi.gateway_codec import RobotDecoder
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 TRACK = (*AXES, "E1")
@@ -108,8 +108,8 @@ def test_words_that_do_not_count_are_never_read(text):
 @pytest.mark.parametrize("change", ["<Tech>%d</Tech>", '<Tech T%d="0"/>', "<Tech t='%d'/>"])
 def test_where_no_shape_fits_it_is_seldom_looked_for(monkeypatch, change):
     looked = []
-    of = TelegramShape.of
-    monkeypatch.setattr(codec.TelegramShape, "of", lambda *content: looked.append(content) or of(*content))
+    places_of = codec.places_of
+    monkeypatch.setattr(codec, "places_of", lambda *content: looked.append(content) or places_of(*content))
     decoder, plain = RobotDecoder(AXES), telegram()
     for number in range(2 * codec.RELEARN_AFTER):
         decoder.parse(plain.replace(b"<IPOC>", (change % number).encode() + b"<IPOC>"))
