@@ -13,9 +13,8 @@ from construction_twin.gateway.command_intake import CommandIntake
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.controller_clock import ControllerClock
 from construction_twin.gateway.controller_session import ControllerSession
-from construction_twin.gateway.machine import Machine
 from construction_twin.gateway.player import Player, StopReport
-from construction_twin.gateway.states import CAUSES, Action, Event, Mode, Occasion, Row, State
+from construction_twin.gateway.states import CAUSES, Action, Event, Machine, Mode, Occasion, Row, State
 from construction_twin.gateway.tool_switches import ToolSwitches
 from construction_twin.mqtt.joint_string import JointStringCodec
 

@@ -22,36 +22,24 @@ from construction_twin.core.limits import MotionLimits
 #: Written into the file; another number means another meaning of its keys.
 FORMAT = 3
 _POSITIVE = (
-    *(
-        "start_tolerance",
-        "start_tolerance_linear",
-        "playout_delay",
-        "playout_delay_min",
-        "playout_delay_max",
-        "silence",
-    ),
-    *("max_age", "speed_limit_deadline", "speed_limit_grace", "speed_limit_backlog", "timeout"),
+    *("start_tolerance", "start_tolerance_linear", "playout_delay", "playout_delay_min", "playout_delay_max"),
+    *("silence", "max_age", "speed_limit_deadline", "speed_limit_grace", "speed_limit_backlog", "timeout"),
     *("e1_feedback_scale", "e1_correction_scale"),
 )
 
 
 @dataclass(frozen=True)
 class GatewayConfig:
-    """What the gateway must know about the robot and the link; config/gateway.yaml explains the settings.
+    """Robot and link of a gateway; config/gateway.yaml explains the settings.
 
     Axis order is A1 first; values are those of the controller's axes. SI; those of linear axes in m where others are in rad.
 
     Attributes:
         axes, linear: Names in the telegrams, e.g. ``A1``, and those of linear axes.
-        cycle: The controller's cycle [ms]; RSI has 4 (`#IPO_FAST`) and 12 (`#IPO`).
-        decimals: Of a degree, and of a mm for a linear axis, in the joint string.
-        properties: Whether commands carry the MQTT 5 properties session, seq and stamp.
-        reference: What the corrections are relative to, in the make's word (`Make.references`); "": its usual one.
-        timeout: Silence of the controller after which its session is over [s].
-        e1_sign, e1_offset: E1 of the controller = sign * ours + offset [rad], [m] when it is linear.
-        e1_feedback_scale, e1_correction_scale: What its unit of E1 is off by: wire value = scale * value in deg or mm.
-        layout: The controller's telegrams, and whose they are; not given: those of RSI, without a file.
-        tool: The tool whose outputs the gateway switches; None: no tool, or one that the layout has no channels for.
+        cycle: [ms]
+        reference: One of `Make.references`; "": its usual one.
+        layout: Default: that of RSI without a file.
+        tool: None: no tool, or one that the layout has no channels for.
     """
 
     robot: str
@@ -118,8 +106,8 @@ class GatewayConfig:
         is_fraction = not isinstance(fraction, bool) and isinstance(fraction, (int, float)) and 0 <= fraction <= 1
         need(is_fraction, "speed_limit_silent", "a fraction of the velocity limits, 0 to 1")
         need(type(self.e1_sign) is int and self.e1_sign in (1, -1), "e1_sign", "1 or -1")
-        offset = self.e1_offset
-        need(isinstance(offset, (int, float)) and math.isfinite(offset), "e1_offset", "a finite number [rad] or [m]")
+        finite = isinstance(self.e1_offset, (int, float)) and math.isfinite(self.e1_offset)
+        need(finite, "e1_offset", "a finite number [rad] or [m]")
         need(set(self.linear) <= set(self.axes), "linear", f"some of the axes {', '.join(self.axes)}")
         known = make.references
         need(not known or self.reference in known, "reference", f"one of {', '.join(known)}")

@@ -20,29 +20,32 @@ class Braking:
     """Braking of a follower from its present step on, as the arm will carry it out.
 
     Args:
-        measured: Shape (n,). Where the arm is, which its servos trail [rad], [m]; empty where it does not follow.
+        measured: Shape (n,). Pose of the arm, whose servos lag [rad], [m]; empty where it does not follow.
+
+    Attributes:
+        distance: Shape (n,). From that pose to rest [rad], [m].
+        time: Until the corrections rest [s].
+        moved, took: Distance and time [s] as they were in the end; () and None until then.
     """
 
     def __init__(self, follower: Follower, measured: tuple[float, ...]):
         distances, cycles = follower.braking()
-        # where the arm was when it began [rad], [m]
         self._start = measured or follower.position
-        #: Distance of each axis to rest, including the lag behind the correction [rad], [m].
         self.distance = tuple(
             [distance + abs(q - at) for distance, q, at in zip(distances, follower.position, self._start)]
         )
-        #: Time until the corrections rest [s].
         self.time = cycles * follower.cycle
-        #: What it has taken so far [ns].
-        self.elapsed = 0
-        #: Distance and time as they were in the end; empty and None until then.
+        self._elapsed = 0
         self.moved: tuple[float, ...] = ()
         self.took: float | None = None
 
-    def end(self, follower: Follower) -> None:
-        """Take note that the follower is at rest."""
-        self.moved = tuple([abs(end - start) for start, end in zip(self._start, follower.position)])
-        self.took = self.elapsed / NANOSECONDS
+    def advance(self, follower: Follower, elapsed: int) -> None:
+        """Record a step that took `elapsed` [ns] of the controller's time."""
+        if self.took is None:
+            self._elapsed += elapsed
+            if follower.at_rest:
+                self.moved = tuple([abs(end - start) for start, end in zip(self._start, follower.position)])
+                self.took = self._elapsed / NANOSECONDS
 
 
 class StopReport:
@@ -58,18 +61,12 @@ class StopReport:
         self, cause: str, follower: Follower, measured: tuple[float, ...], under_way: Braking | None, by: str
     ) -> None:
         """State the distance to rest; call it when braking begins, or with the braking that was `under_way` before."""
-        braking = under_way or Braking(follower, measured)
-        self._cause, self._by, self._braking = cause, by, braking
-        if under_way and follower.at_rest:
-            braking.end(follower)
+        self._cause, self._by, self._braking = cause, by, under_way or Braking(follower, measured)
 
     def advance(self, follower: Follower, elapsed: int) -> None:
-        """Take note of a step of braking that took `elapsed` [ns] of the controller's time."""
-        braking = self._braking
-        if braking is not None and braking.took is None:
-            braking.elapsed += elapsed
-            if follower.at_rest:
-                braking.end(follower)
+        """Record a step of braking that took `elapsed` [ns] of the controller's time."""
+        if self._braking is not None:
+            self._braking.advance(follower, elapsed)
 
     def status_fields(self) -> dict:
         """Return what the status says: deg, mm for linear axes, and s."""
@@ -84,7 +81,7 @@ class StopReport:
         }
 
     def _in_display_units(self, distances: tuple[float, ...]) -> list[float]:
-        # rounded up: what is stated is never less than what it stands for
+        # rounded up: the arm never goes further than stated
         return [
             math.ceil(1e6 * (1e3 * distance if linear else math.degrees(distance))) / 1e6
             for distance, linear in zip(distances, self._linear)
@@ -171,7 +168,7 @@ class Player:
         self.braking = None
 
     def push(self, stamp: int, q: tuple[float, ...], waited: int) -> None:
-        """Take a command that passed every check: stamp [ns], pose [rad], time since the last telegram [ns]."""
+        """Buffer a checked command: stamp [ns], pose [rad], time since the last telegram [ns]."""
         if not self.playout.push(stamp, q, waited):
             self._counters["commands_late"] += 1
 
@@ -199,16 +196,16 @@ class Player:
     def _brake(self, follower: Follower, elapsed: int, measured: tuple[float, ...]) -> tuple[float, ...]:
         if self.braking is None:
             self.braking = Braking(follower, measured)
-        if not follower.at_rest:
-            self.braking.elapsed += elapsed
-        return follower.brake()
+        position = follower.brake()
+        self.braking.advance(follower, elapsed)
+        return position
 
     def on_stream_given_up(self, session: str, now: int) -> None:
         """Remember that the stream of `session` was given up for its silence; call it before `clear`."""
         self._stalled = session, self.playout.shortfall, now
 
     def learn_from_stall(self, session: str | None, now: int) -> None:
-        """Take note of a command after its stream was given up: the next stream's delay absorbs it. `session`: None without any."""
+        """Lengthen the next stream's delay by what a command shows that came after its stream was given up."""
         if self._stalled is None or session not in (None, self._stalled[0]):
             return
         _, shortfall, since = self._stalled

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
 from construction_twin.controller.port import Words
 from construction_twin.core import state_table
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.gateway.config import GatewayConfig
 
 
@@ -166,13 +167,11 @@ class Occasion:
     """What came with an event.
 
     Attributes:
-        reason: One sentence for people: why the next state is entered.
-        now: When [ns].
-        session: Of the control message; "" for none.
+        reason: The sentence with which the next state is entered.
+        session, value: Of the control message.
         stamp, q: Of the command [ns], [rad].
-        account: Whose `stop/<account>` it was; "" for every other way.
-        ending: A stop that the program asks for itself, because it ends.
-        value: Of the control message.
+        account: Whose `stop/<account>` it was; "": another way.
+        ending: The program's own stop, because it ends.
     """
 
     reason: str = ""
@@ -183,3 +182,52 @@ class Occasion:
     account: str = ""
     ending: bool = False
     value: object = None
+
+
+class Machine:
+    """The present state; it changes by the rows of the table, and in no other way.
+
+    Args:
+        guards: From the occasion to the sentence against the row; "" for none.
+        actions: Return the sentence with which the next state is entered; None: the occasion's own.
+        refusal: Returns the sentence about an event that the present state does not take.
+
+    Attributes:
+        changed: True after every change of state or reason, until it was published.
+    """
+
+    def __init__(
+        self,
+        reason: str,
+        guards: Mapping[Guard, Callable[[Occasion], str]],
+        actions: Mapping[Action, Callable[[Row, Occasion], str | None]],
+        refusal: Callable[[], str],
+    ):
+        self.state = State.NO_CONTROLLER
+        self.reason = self._entered_for = reason
+        self.changed = True
+        self.guards = {Guard.NONE: lambda _occasion: "", **guards}
+        self.actions = {Action.NONE: lambda _row, _occasion: None, **actions}
+        self._refusal = refusal
+
+    def on(self, event: Event, occasion: Occasion) -> str:
+        """Apply the first row whose guard holds; return "", or in one sentence why none was applied."""
+        refusal = ""
+        for row in ROWS[self.state, event]:
+            refusal = self.guards[row.guard](occasion)
+            if not refusal:
+                sentence = self.actions[row.action](row, occasion)
+                if row.target is not None:
+                    self.state, self.changed = row.target, True
+                    self.reason = self._entered_for = occasion.reason if sentence is None else sentence
+                return ""
+        return refusal or self._refusal()
+
+    def append_to_reason(self, note: str) -> None:
+        """Add to the reason for which the present state was entered, in place of what was added before."""
+        self.reason = join_sentences(self._entered_for, note)
+
+    def restore_reason(self) -> None:
+        """Remove what was added to the reason."""
+        if self.reason != self._entered_for:
+            self.reason, self.changed = self._entered_for, True

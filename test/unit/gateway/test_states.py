@@ -7,8 +7,7 @@ import dataclasses
 import pytest
 from gateway_cell import Cell, following, gap, slow
 
-from construction_twin.gateway.machine import Machine
-from construction_twin.gateway.states import TABLE, Action, Event, Guard, State
+from construction_twin.gateway.states import TABLE, Action, Event, Guard, Machine, State
 
 
 @pytest.fixture
