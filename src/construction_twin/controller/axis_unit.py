@@ -10,11 +10,8 @@ from dataclasses import dataclass
 class AxisUnit:
     """How one axis is written on the wire: ``feedback = feedback_scale * unit * (sign * x + offset)``.
 
-    `unit` is deg per rad, or mm per m for a linear axis. A correction has no offset, and its own scale (docs/rsi.md, section 11).
-
-    Attributes:
-        sign, offset: +1 or -1; [rad] or [m], on the controller's side.
-        feedback_scale, correction_scale: Positive; 1 when the controller keeps to its own units.
+    `unit` is deg per rad, or mm per m for a linear axis; the offset is the controller's [rad], [m]. A correction has no offset,
+    and its own scale (docs/rsi.md, section 11).
     """
 
     linear: bool = False
@@ -31,8 +28,7 @@ class AxisUnit:
     @property
     def reading_factor(self) -> float:
         """Rad or m per wire unit of a position."""
-        inverse = 1e-3 if self.linear else math.pi / 180.0
-        return inverse / self.feedback_scale * self.sign
+        return self._inverse / self.feedback_scale * self.sign
 
     @property
     def zero(self) -> float:
@@ -47,9 +43,12 @@ class AxisUnit:
     @property
     def correction_reading_factor(self) -> float:
         """Rad or m per wire unit of a correction."""
-        inverse = 1e-3 if self.linear else math.pi / 180.0
-        return inverse / self.correction_scale * self.sign
+        return self._inverse / self.correction_scale * self.sign
 
     @property
     def _per_unit(self) -> float:
         return 1e3 if self.linear else 180.0 / math.pi
+
+    @property
+    def _inverse(self) -> float:
+        return 1e-3 if self.linear else math.pi / 180.0

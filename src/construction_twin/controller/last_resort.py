@@ -22,12 +22,12 @@ _LONGEST_STEP = 60_000
 
 @dataclass(frozen=True)
 class BareProtocol:
-    """The little that the last resort knows of a make.
+    """The last resort's view of a make.
 
     Attributes:
-        stamp, missed: Of a datagram: its stamp [ms], its count of cycles without a valid reply; None without one.
-        write: The reply to a stamp, from the text of a reply and the target, shape (n,) [rad], [m].
-        texts: Texts of replies that do not end the controller's program, and that do.
+        stamp, missed: A datagram's stamp [ms], its count of cycles without a valid reply; None without one.
+        write: The reply to a stamp, from the text of a reply and the target.
+        texts: Texts of replies that leave the controller's program running, and that end it.
     """
 
     stamp: Callable[[bytes], int | None]
@@ -39,10 +39,7 @@ class BareProtocol:
 class LastResort:
     """Stores what was sent; after `begin` answers in the gateway's place, where a controller expects answers.
 
-    Attributes:
-        ending: True: once at rest, replies end the controller's program.
-        target: Shape (n,). Sent last; () before the first.
-        stamp: Answered last.
+    `target` and `stamp` are those of the last reply; `ending`: once at rest, replies end the controller's program.
     """
 
     def __init__(self, limits: MotionLimits, bare: BareProtocol | None, cycle_ms: int):
@@ -68,7 +65,7 @@ class LastResort:
         acknowledged: tuple[float, ...],
         missed: int | None,
     ) -> None:
-        """Store a reply to the telegram of a stamp [ms]; `acknowledged`: the target that the controller keeps if it is lost."""
+        """Store a reply; `acknowledged`: the target that the controller keeps if it is lost."""
         self.target, self._last_acknowledged, self.stamp, self._source = target, acknowledged, stamp, source
         self._missed = missed or 0
 

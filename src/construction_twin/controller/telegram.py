@@ -1,7 +1,4 @@
-"""What a telegram of any robot controller tells, and how far its clock is on from one to another.
-
-rad and m; the controller's clock in ms.
-"""
+"""Telegrams and replies of any robot controller as values, and the steps of its clock. rad and m, ms."""
 
 from __future__ import annotations
 
@@ -18,10 +15,9 @@ class Telegram:
     """One telegram of a controller.
 
     Attributes:
-        controller_ms: Controller time [ms], 0 to 2^64 - 1, which the reply answers. How far it is on: `stamp_step`.
-        measured: Length n. Where the axes are [rad] ([m] for a linear axis); None when the telegram does not tell.
-        setpoint: Length n. What the axes follow without corrections; constant while it is only corrected. Where it takes absolute
-            targets: the one that it follows.
+        controller_ms: Controller time, 0 to 2^64 - 1; see `stamp_step`.
+        measured: Length n. None: unknown.
+        setpoint: Length n. What the axes follow without corrections, or the absolute target that they follow; None: unknown.
         missed: The controller's count of cycles without a valid reply.
     """
 
@@ -33,12 +29,11 @@ class Telegram:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """One reply, as a controller reads it.
+    """One reply to the telegram of a stamp, as a controller reads it.
 
     Attributes:
-        controller_ms: Of the telegram that it answers [ms].
-        target: Length n. Positions of the axes, or corrections to an origin, as the make has it [rad] ([m] for a linear axis).
-        stop: Whether it ends the controller's program; None when it does not say.
+        target: Length n. Positions of the axes, or corrections to an origin (`Make.absolute`).
+        stop: Whether it ends the controller's program; None: no such channel.
         switched: Channels of a tool, in the order of `Layout.switched`.
     """
 

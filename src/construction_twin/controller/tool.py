@@ -20,12 +20,7 @@ def is_tool_name(name: str) -> bool:
 
 @dataclass(frozen=True)
 class ToolOutput:
-    """An output.
-
-    Attributes:
-        on_stop: ``keep`` or ``off``: what becomes of it when RSI ends or a reply is missed.
-        opens: The value that lets go of a workpiece; None: neither does.
-    """
+    """An output; `on_stop`: ``keep`` or ``off`` at RSI's end or a missed reply; `opens`: the value that lets go, if one does."""
 
     name: str
     on_stop: str

@@ -27,22 +27,22 @@ class Refusals:
 
     def __init__(self, counters: Counter[str]):
         self._counters = counters
-        #: Reason and sentence of the last one that no stop has caused; of the one that stopped the arm, until `clear_cause`.
+        #: The last refusal that no stop has caused; the one that stopped the arm, until `clear_cause`.
         self.last = ""
-        #: Of the last one since the one that stopped the arm; "" for none.
+        #: The last one since the one that stopped the arm.
         self.later = ""
-        #: Datagrams refused since the last telegram that could be read; the last one's reason and sentence, "" before the first.
+        #: Datagrams refused since the last readable telegram; the last one's reason and sentence.
         self.unread, self.unread_reason, self.unread_why = 0, "", ""
         self._has_own = self._stopped = False
         self._published_at = -NANOSECONDS
         self.begin_controller_session()
 
     def begin_controller_session(self) -> None:
-        """Restart the count of what cannot be read: a telegram could be."""
+        """Restart the count of unreadable datagrams."""
         self._published_reason, self._published_count = "", 0
 
     def count_message(self, reason: str, why: object, follows: bool = False) -> None:
-        """Count a message on MQTT as ``refused_<reason>``; one that `follows` only from a stop takes no other's place."""
+        """Count a message on MQTT as ``refused_<reason>``; one that `follows` from a stop replaces no other as the last."""
         if follows and self._has_own:
             self._counters[f"refused_{reason}"] += 1
             return
@@ -66,7 +66,7 @@ class Refusals:
         self._has_own = self._stopped = False
 
     def pop_unread(self, now: int) -> tuple[str, bool]:
-        """Return what cannot be read, once a second, "" for nothing, and whether the reason is a new one."""
+        """Return the sentence on unreadable datagrams, once a second, else "", and whether its reason is a new one."""
         if now < self._published_at + NANOSECONDS or self.unread == self._published_count:
             return "", False
         reason, is_new = self.unread_reason, self.unread_reason != self._published_reason
@@ -87,16 +87,15 @@ class Refusals:
 
 
 class ArmControl:
-    """The parts of a gateway, its state, and what every side of it may ask: to brake, stop and end.
+    """The parts of a gateway, its state, and the acts of every side: brake, stop, end.
 
     Args:
-        run: An id that no other run of the gateway has had; an `arm` must name it.
-        commissioning: True: every correction that leaves is zero.
-        measures: Whether a controller's cycle is measured before it is commanded; False: telegrams come on a simulated clock.
+        run: Unique id of this run.
+        measures: False: telegrams come on a simulated clock, and the controller's cycle is not measured.
         stopped: Why the run before this one was stopped, where nobody has reset that.
     """
 
-    #: What may follow what; made by `Gateway`, which knows the functions of all guards and actions.
+    #: Made by `Gateway`, which knows the functions of all guards and actions.
     machine: Machine
 
     def __init__(self, config: GatewayConfig, run: str, commissioning: bool, measures: bool, stopped: str):
@@ -105,30 +104,25 @@ class ArmControl:
         self.mode = Mode.of(config, commissioning)
         self.codec = JointStringCodec.of_config(config)
         self.counters: Counter[str] = Counter()
-        #: What was refused, and why; inbox and service, which stand before the gateway, count here too.
         self.refusals = Refusals(self.counters)
         #: True after any stop but one by silence, until a `reset`; outlives the controller session.
         self.fault = False
-        #: Number of the last stop or fault of this run, but of one by silence; 0 before the first. A `reset` must name it.
+        #: Number of the last of these stops in this run, 0 before the first; a `reset` must name it.
         self.fault_number = 0
-        #: Why it was stopped, "" once somebody has reset that; the end of the program is no stop.
+        #: Its reason, until a `reset`; the end of the program is no stop.
         self.stopped = stopped
-        #: What tells of a stop, and cannot fail it.
         self.side_effects = SideEffects()
         #: Called with every answered telegram, see `TraceWriter.record`.
         self.trace: Callable[[int, int, State, int, tuple[float, ...], bool], None] | None = None
-        #: Is told of every telegram that is read, by what reads them.
         self.clock = ControllerClock(config.make, config.cycle, measures)
         self.controller = ControllerSession(config, self.counters, zero=self.mode is not Mode.NORMAL)
         self.player = Player(config, self.counters)
-        #: The tool's outputs; None without a tool.
         self.tool = ToolSwitches(config.tool, config.layout, config.cycle_ns, self.counters) if config.tool else None
         self.intake = CommandIntake(config, self.codec, self.player)
-        #: Returns a sentence with what the mode means for the arm, so that one at rest is not taken for a fault.
         self.with_mode = partial(self.mode.describe, words=config.make.words)
         #: Stamp of the target in the last answer [ns]; 0 for none.
         self.command_stamp = 0
-        #: The end of the controller's program was asked for.
+        #: The end of the controller's program was requested.
         self.ending = False
         self.stopping = StopReport(config.limits.linear)
 

@@ -46,13 +46,7 @@ class CommandStream:
     def read(
         self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int
     ) -> tuple[int, tuple[float, ...], int]:
-        """Read a joint string with what was beside it at `now` [ns].
-
-        Returns:
-            stamp: On the sender's clock [ns]; on ours when commands carry none.
-            q: Shape (n,). Axis angles [rad].
-            lost: Commands missing between the last one and this.
-        """
+        """Read a joint string; return its stamp (on our clock where it carries none), its pose, and the commands lost before it."""
         if isinstance(properties, PayloadError):
             raise properties
         if not self._config.properties:
@@ -99,13 +93,12 @@ class StreamBroken(Exception):
 
 
 class CommandIntake:
-    """From messages on `command` to what the player plays. `waited` is the time since the last telegram [ns]."""
+    """Checks commands and pushes them to the player. `waited` is the time since the last telegram [ns]."""
 
     def __init__(self, config: GatewayConfig, codec: JointStringCodec, player: Player):
         self._config = config
         self._limits = config.limits
         self._player = player
-        #: Who may command, and which commands are read.
         self.stream = CommandStream(config, codec)
         self._longest_gap = round(config.silence * NANOSECONDS)
         self._check = MotionCheck(self._limits, config.decimals)

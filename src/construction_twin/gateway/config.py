@@ -1,7 +1,6 @@
-"""The gateway's configuration: one JSON file, made from URDF and robot YAML, with a hash that the bridge compares.
+"""The gateway's configuration: one JSON file, which `twin gateway` makes from URDF and robot YAML.
 
-`twin gateway` writes it. `motion` decides what the arm may do and is what the hash covers; hosts and ports are options of
-the program. SI units throughout.
+The bridge compares its hash, which covers all of `motion`; hosts and ports are options of the program. SI units throughout.
 """
 
 from __future__ import annotations

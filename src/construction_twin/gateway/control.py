@@ -1,7 +1,4 @@
-"""The command side of the gateway: who may command, and what each message does, or why it is refused.
-
-Nothing here answers a telegram. stamps and `now` in ns, poses in rad.
-"""
+"""The command side of the gateway: who may command, and what each message does, or why it is refused. ns, rad."""
 
 from __future__ import annotations
 
@@ -55,7 +52,7 @@ class Ownership:
     def __init__(self) -> None:
         self._past_sessions: dict[object, None] = {}
         self._answered: dict[object, None] = {}
-        #: The last session that was refused because another owns the arm, "" for none, and how often that happened.
+        #: The last session that was refused because another owns the arm, and the count of such refusals.
         self.intruder = ""
         self.intrusions = 0
 
@@ -97,13 +94,13 @@ class EnforcedSpeedLimit:
     def __init__(self, config: GatewayConfig):
         self._source = speed_limit.SpeedLimit(config.speed_limit_deadline, config.speed_limit_silent)
         self._grace = round(config.speed_limit_grace * NANOSECONDS)
-        #: The fraction requested last, that for silence included; 1 before the first one.
+        #: The fraction requested last, that for silence included.
         self.requested = 1.0
-        #: Who gave it: "none", a session id, or "silence".
+        #: "none", a session id, or "silence".
         self.source = "none"
         #: The fraction in force.
         self.fraction = 1.0
-        # session and number of the last message that was taken
+        # session and number of the last message
         self._numbered: tuple[str, int] = ("", -1)
         # since when [ns] which fraction was given; they fall from left to right, so the first is the highest
         self._recent: deque[tuple[int, float]] = deque(maxlen=REMEMBERED)
@@ -169,17 +166,16 @@ class EnforcedSpeedLimit:
         recent.append((since, fraction))
 
     def status_fields(self) -> dict:
-        """Return what the status says: the fraction in force, the one given last, and by whom."""
+        """Return the fields of the status."""
         return {"share": self.fraction, "given": self.requested, "source": self.source}
 
 
 class CommandHandler:
-    """Takes commands, control messages and people's stops for one `Gateway`."""
+    """Handles commands, control messages and people's stops of one `Gateway`."""
 
     def __init__(self, gateway: ArmControl):
         self._gateway = gateway
         self.owners = Ownership()
-        #: How fast the arm may move, as the source of `speed_limit` asks.
         self.speed = EnforcedSpeedLimit(gateway.config)
         self._stop_pace = answer_limits()
         self._verbs = {

@@ -31,11 +31,7 @@ SHOWN = 250
 
 
 class ControllerClock:
-    """What one session shows of the clock of a controller whose cycle is expected to be `cycle_ms`.
-
-    Args:
-        measures: False: telegrams come on a simulated clock, and none is noted.
-    """
+    """Measures the clock of a controller whose cycle is expected to be `cycle_ms`, unless that is a simulated one."""
 
     def __init__(self, make: Make, cycle_ms: int, measures: bool = True):
         self.measures = measures
@@ -53,7 +49,7 @@ class ControllerClock:
         """Begin with another session."""
         self._arrivals.clear()
         self._to_judge = self._first
-        #: That the last telegrams have another cycle of the make; "" until they do, or `judge` finds the expected one.
+        #: The sentence that the last telegrams have another cycle of the make, until `judge` finds the expected one.
         self.changed = ""
         # the last step that was another cycle, where it led, and how many of it came in a row
         self._other = self._other_stamp = self._in_a_row = 0
@@ -61,7 +57,7 @@ class ControllerClock:
         self._found: float | None = None
 
     def on_telegram(self, stamp: int, arrived: int) -> None:
-        """Store stamp [ms] and arrival of a telegram, on any clock in real time [ns], also of one that is not answered."""
+        """Store stamp [ms] and arrival [ns] of a telegram, also of one that is not answered."""
         arrivals = self._arrivals
         if not self.measures:
             return
@@ -125,7 +121,7 @@ class ControllerClock:
         return sentence if before != found else None
 
     def status_fields(self) -> dict:
-        """Return what the status says: ms, and the controller's time per real time; None where it is not known yet."""
+        """Return the fields of the status; None: not known yet."""
         step = rate = None
         if len(self._arrivals) > self._base:
             step, rate = self._figures(SHOWN)

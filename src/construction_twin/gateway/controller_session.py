@@ -21,12 +21,11 @@ class TelegramOutcome:
     """What a telegram means for its session.
 
     Attributes:
-        elapsed: Controller time since the telegram before [ns]; a cycle for the first one.
-        begins: It is the first one of a session.
-        refusal: Why this session must not be answered, in the telegram that shows it; "" when it may be.
-        missed: Since the telegram before the controller has missed a reply, for whatever reason.
-        lost: The controller says that the last answer did not arrive in time.
-        drifted_to: Shape (n,). Where it is programmed, if that is elsewhere than at the origin [rad]; () where it is not.
+        elapsed: Controller time since the telegram before; a cycle for the first one.
+        refusal: Why this session must not be answered, in the telegram that shows it; "": it may be.
+        missed: The controller has missed a reply since the telegram before.
+        lost: The last answer did not arrive in time.
+        drifted_to: Shape (n,). The programmed position where it is off the origin, else ().
     """
 
     elapsed: int
@@ -48,13 +47,13 @@ class Replies:
 
     def begin(self) -> None:
         """Forget the session before."""
-        #: The last correction, as it would be without commissioning mode [rad]; () before the first.
+        #: The last correction, as it would be without commissioning mode; () before the first.
         self.correction: tuple[float, ...] = ()
-        #: What the last answer carried as a correction, if it was a computed one [rad]; () for nothing.
+        #: The last correction that was sent; () before the first.
         self.sent: tuple[float, ...] = ()
-        #: The one that the controller had before it, and keeps if it does not arrive [rad]; () before the first.
+        #: The one that the controller had before it, and keeps if it does not arrive; () before the first.
         self.last_acknowledged: tuple[float, ...] = ()
-        #: How long no answer has arrived while telegrams went on [ns].
+        #: How long no answer has arrived while telegrams went on.
         self.lost_for = 0
 
     def record_loss(self, lost: bool, elapsed: int) -> None:
@@ -88,9 +87,7 @@ class ControllerSession:
     """One session of the controller after the other."""
 
     def __init__(self, config: GatewayConfig, counters: Counter[str], zero: bool = False):
-        #: What it was answered.
         self.replies = Replies(config.make.absolute, zero)
-        #: What the controller says of itself, where its telegrams tell.
         self.status = self._no_status = config.make.no_status
         self._limits = config.limits
         self._tolerances = config.start_tolerances
@@ -100,16 +97,13 @@ class ControllerSession:
         self._timeout = round(config.timeout * NANOSECONDS)
         self._timeout_ms = round(config.timeout * 1000)
         self._cycle = config.cycle_ns
-        #: True from the first telegram to the end of the last session.
         self.alive = False
-        #: What corrections are relative to [rad]; () while it is not known.
+        #: What corrections are relative to; () while it is unknown.
         self.origin: tuple[float, ...] = ()
-        #: Measured pose of the last telegram that had one [rad]; () when there is none.
+        #: Measured pose of the last telegram that had one; () for none.
         self.measured: tuple[float, ...] = ()
-        #: When the last telegram came [ns].
         self.received_at = 0
         self.stamp = 0
-        #: Why the present session began.
         self.begin_reason = ""
         #: The last step of the clock that was not a cycle [ms].
         self.jump_ms = 0
@@ -190,9 +184,9 @@ class ControllerSession:
         self.measured = telegram.measured or self.measured
 
     def _is_reply_lost(self, count: int | None, elapsed: int) -> bool:
-        """Return whether the controller says that the last answer did not arrive in time: its count has risen by every cycle since.
+        """Return whether the last answer was lost: the controller's count has risen by every cycle since.
 
-        A number that it cannot have is counted: a higher one is a lost reply, a lower one is not (docs/rsi.md, section 5).
+        An impossible number is counted: a higher one is a lost reply, a lower one is not (docs/rsi.md, section 5).
         """
         if count is None:
             self._counters["telegrams_without_delay"] += 1

@@ -20,7 +20,7 @@ DRAIN_LIMIT = 64
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """A telegram that is to be answered, with address and port of its sender, and when it arrived [ns]."""
+    """A telegram to be answered, with address and port of its sender, and its arrival [ns]."""
 
     telegram: Telegram
     source: tuple
@@ -28,11 +28,11 @@ class Arrival:
 
 
 class TelegramInbox:
-    """Reads what has come since the last time; what is noticed is counted in the gateway.
+    """Reads the datagrams that wait; refused ones are counted in the gateway.
 
     Args:
-        receive: Returns a datagram, its time of arrival [ns] and its source, or raises BlockingIOError.
-        controller: Only datagrams from this IPv4 address are read; None reads any.
+        receive: Returns a datagram, its arrival [ns] and its source, or raises BlockingIOError.
+        controller: The only IPv4 address that is read; None: any.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """The gateway as a pure object: commands, controls and telegrams in; corrections, states and status out. rad and ns.
 
-Every telegram is answered from what is already here (docs/architecture.md, law 1), in one function from top to bottom:
-`Gateway.on_telegram`. What may follow what is the table in `states`. `now` is on the gateway's monotonic clock.
+`Gateway.on_telegram` answers every telegram from what is already here (docs/architecture.md, law 1); `states` has the table of
+states. `now` is on the gateway's monotonic clock.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ class Gateway(ArmControl):
             value=telegram.controller_ms,
             why=self.controller.begin_reason,
         )
-        # what stands against arming is said, too: the states of a new session do not tell
+        # the states of a new session do not show what stands against arming
         self._began = join_sentences(self.with_mode(began), _not_reset(self.stopped))
         self.machine.on(Event.SESSION_BEGAN, Occasion(self._began))
         if self.machine.state is State.MEASURING:
@@ -155,10 +155,7 @@ class Gateway(ArmControl):
                 self.machine.on(Event.CYCLE_FITS, Occasion(self._began))
 
     def _restart_from_rest(self, follower: Follower, elapsed: int, lost: bool) -> tuple[Follower, int]:
-        """Stand at the last correction that arrived; return the follower there, and what of `elapsed` [ns] is left to move in.
-
-        HOLDON kept the arm there: going on at the speed of before would be a step from standstill.
-        """
+        """Stand at the last correction that arrived, where HOLDON kept the arm; return the follower there, and the time left."""
         player = self.player
         if player.interpolator.interpolated:
             # it stands within a step, not at its end
@@ -175,7 +172,7 @@ class Gateway(ArmControl):
         return follower, elapsed - pause
 
     def _move(self, follower: Follower, elapsed: int) -> tuple[float, ...]:
-        """Return where the arm is to be after a cycle: on its stream, on its way to rest, or where it is held."""
+        """Return the position after a cycle: on the stream, on the way to rest, or held."""
         machine, player = self.machine, self.player
         if machine.state is State.FOLLOWING:
             # in commissioning mode the arm does not do what the player does
@@ -268,7 +265,7 @@ class Gateway(ArmControl):
             self.tool.end_controller_session(occasion.reason)
         self.disarm(occasion.reason)
 
-    # -- what it tells
+    # -- what it publishes
 
     def state_message(self, stamp: int) -> tuple[bytes, StateProperties] | None:
         """Return the joint string of the measured pose and its properties, None without one; `stamp` is the gateway's own [ns]."""

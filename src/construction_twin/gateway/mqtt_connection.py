@@ -45,14 +45,13 @@ class MqttConnection:
     """One gateway's connection to the broker, served in the pause behind an answer to the controller.
 
     Args:
-        polled: Has a client served by the loop.
-        run_guarded: Runs a part and takes its unexpected exception: paho would handle a message again whose callback raised.
-        stops: Keeps a stop beyond this run; None: it is forgotten.
+        polled: Makes a client that the loop serves.
+        run_guarded: Runs a part and catches its unexpected exception: paho would repeat a message whose callback raised.
 
     Attributes:
-        now: Of the loop's present turn [ns].
-        failure: What has failed, in one sentence; "" while nothing has.
-        ending: True: the broker may be gone first, and nobody has to look after that.
+        now: Of the loop's present turn.
+        failure: The sentence of the gateway's failure; "" for none.
+        ending: True: a broker that is gone is no error.
     """
 
     def __init__(
@@ -74,7 +73,7 @@ class MqttConnection:
         self._run_guarded = run_guarded
         self._stops = stops
         self._reply_time = reply_time
-        # a last will may come late, when another run, or this one over another connection, speaks already: it says whose it is
+        # a last will may come late, when another run or connection speaks already: it names its own
         self._number = 1
         will = offline_word(gateway.run, self._number)
         client = make_client(broker, unique_id(topics.robot, "gateway"), topics.status, will)
@@ -101,7 +100,7 @@ class MqttConnection:
         topics = [(self._topics.command, 0), (self._topics.control, 1), (self._topics.stop_by("+"), 1)]
         client.subscribe(subscriptions(topics))
         info = self.publish_status()
-        # the client sends again what was not acknowledged before: an older status, behind this one, would be the one that is kept
+        # the client repeats what was not acknowledged before: an older status behind this one would be retained
         self._due_at = 0
         if info is not None:
             self._connection.watch_publish(client, self._topics.status, info.mid)
@@ -179,7 +178,7 @@ class MqttConnection:
     # -- sent
 
     def _answer(self, topic: str, payload: Callable[[], bytes], of_stop: bool) -> None:
-        """Publish the status, then an answer: its reader must not act on an older status. That of a stop may fail."""
+        """Publish the status, then an answer, whose reader must not act on an older status."""
         effects = self._gateway.side_effects
         effects.run("the status", partial(self._send_status, self._document) if of_stop else self.publish_status)
         effects.run("the answer", lambda: self._client.publish(topic, payload(), qos=1))
@@ -196,7 +195,7 @@ class MqttConnection:
         self._client.send_stream(self._topics.state, payload, beside)
 
     def publish_status(self, final: bool = False) -> paho.MQTTMessageInfo | None:
-        """Publish the status; where it cannot be made the gateway has failed, and says what is certain."""
+        """Publish the status; where it cannot be made the gateway has failed, and publishes what is certain."""
         return self._send_status(lambda: self._run_guarded(self._document) or self._document_of_failure(), final)
 
     def is_status_due(self, answered: bool) -> bool:
@@ -219,7 +218,7 @@ class MqttConnection:
 
     def _document(self) -> dict:
         status = self._gateway.status() | {"reply_us": self._reply_time.summary()}
-        # said here once more, because the gateway's own state may be what has failed
+        # the gateway's own state may be what has failed
         return status | {"state": State.FAILED.value, "reason": self.failure, "fault": True} if self.failure else status
 
     def _document_of_failure(self) -> dict:

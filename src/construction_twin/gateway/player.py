@@ -1,7 +1,4 @@
-"""From buffered commands to positions: playout and follower of one gateway, and how the arm comes to rest.
-
-rad, m, and ns.
-"""
+"""From buffered commands to positions: playout and follower of one gateway, and its braking. rad, m, ns."""
 
 from __future__ import annotations
 
@@ -53,7 +50,7 @@ class StopReport:
 
     def __init__(self, linear: tuple[bool, ...]):
         self._linear = linear
-        # a cause of `states.CAUSES`; the account whose stop it was, "" for every other cause and way
+        # a cause of `states.CAUSES`; the account whose stop it was, if one's
         self._cause = self._by = ""
         self._braking: Braking | None = None
 
@@ -91,13 +88,12 @@ class StopReport:
 class SubCycleInterpolator:
     """Spreads the steps of whole cycles over the telegrams within them.
 
-    A controller that is switched to a shorter cycle is noticed after some telegrams only: a whole step of the longer cycle in each
-    of them would be several times the speed.
+    A shorter cycle of the controller is noticed after some telegrams only: a whole step in each would be several times the speed.
     """
 
     def __init__(self, cycle_ns: int):
         self._cycle = cycle_ns
-        #: Controller time interpolated so far in the present step [ns]; 0: all of it.
+        #: Controller time interpolated in the present step [ns]; 0: all of it.
         self.interpolated = 0
         self._before: tuple[float, ...] = ()
 
@@ -131,20 +127,18 @@ class Player:
         self._counters = counters
         rate = PlayoutRate(config.limits, config.decimals, config.cycle_ns)
         self.playout = Playout(PlayoutBounds.of(config), rate)
-        #: For telegrams that come faster than one a cycle.
         self.interpolator = SubCycleInterpolator(config.cycle_ns)
-        # the stream that was given up: whose, how late its next command was then [ns], and when [ns]
+        # session, lateness of the next command [ns] and time [ns] of the stream that was given up
         self._stalled: tuple[str, int, int] | None = None
-        #: Fraction of the velocity limits at which the arm may move.
         self.fraction = 1.0
         #: Stands at the position last sent; None without an origin.
         self.follower: Follower | None = None
         #: Stamp of the target last played [ns]; 0 for none.
         self.stamp = 0
         self._stamp_before = 0
-        #: How many times the arm has stood for want of replies since it trailed its stream by nothing.
+        #: How often the arm has stood for want of replies since its last lag of 0.
         self.standstills = 0
-        #: Braking since the stream ran dry; None while it has not.
+        #: Since the stream ran dry; None: it has not.
         self.braking: Braking | None = None
 
     def limit(self, fraction: float) -> None:

@@ -38,12 +38,12 @@ _FAR = 1 << 63
 class Arrivals:
     """Observes how far the newest command is ahead of the controller's clock, as every telegram finds it.
 
-    This is the difference of two clocks, so only its changes mean anything: at its largest a command travelled fastest, at its
-    smallest one came late. The end of a stream is not lateness: the smallest counts only once a command follows.
+    Only changes of this difference of two clocks mean anything: at its largest a command travelled fastest, at its smallest one
+    came late. The end of a stream is not lateness: the smallest counts only once a command follows.
     """
 
     def __init__(self, assumed: int) -> None:
-        #: Jitter to assume for the window's length: at first that of the configuration, then that of the stream before [ns].
+        #: Jitter to assume for the window's length: that of the configuration, then that of the stream before.
         self.learned = assumed
         self.restart()
 
@@ -58,12 +58,12 @@ class Arrivals:
 
     @property
     def jitter(self) -> int:
-        """The jitter to reckon with [ns]."""
+        """The jitter to expect."""
         return max(self.observed, self.learned)
 
     @property
     def observed(self) -> int:
-        """How much later than the quickest the latest command of the window came [ns]."""
+        """Lateness of the window's latest command against its quickest."""
         return self.high - self.low
 
     def remember(self) -> None:
@@ -71,7 +71,7 @@ class Arrivals:
         self.learned = self.jitter
 
     def learn(self, jitter: int) -> None:
-        """Take a jitter [ns] that was seen by other means."""
+        """Take a jitter that was seen by other means."""
         if jitter > self.learned:
             self.learned, self._changed = jitter, True
 
@@ -117,12 +117,7 @@ SLACK_CYCLES = 2
 
 @dataclass(frozen=True)
 class PlayoutBounds:
-    """Delays of the playout [ns].
-
-    Attributes:
-        start: At the beginning of the first stream; the delay is always this plus or minus whole cycles.
-        shortest, longest: Bounds, ``shortest <= start <= longest``.
-    """
+    """Delays of the playout: the first stream's, from which others differ by whole cycles, and its bounds."""
 
     start: int
     shortest: int
@@ -147,9 +142,8 @@ class Playout:
     def __init__(self, bounds: PlayoutBounds, rate: PlayoutRate):
         self.bounds = bounds
         self.rate = rate
-        # stamp and pose; plain tuples, and no records: they are made and unpacked in every cycle of 4 ms
+        # stamp and pose; tuples are quicker than records, which counts in a cycle of 4 ms
         self._commands: deque[tuple[int, Pose]] = deque()
-        # the last one that was played
         self._before: tuple[int, Pose] | None = None
         self._arrivals = Arrivals(max(0, bounds.start - MARGIN))
         self.clear()
@@ -161,7 +155,7 @@ class Playout:
         self.rate.clear()
         self._commands.clear()
         self._before = None
-        #: Stamp of the newest command [ns]; 0 when there is none.
+        #: Stamp of the newest command; 0 for none.
         self.newest = 0
         self._now = 0
         # playout time before the last advance: that one is taken back when the reply it was for does not arrive
@@ -172,17 +166,17 @@ class Playout:
 
     @property
     def silence(self) -> int:
-        """How far playout time has run past the newest command [ns]; 0 while commands are ahead of it."""
+        """How far playout time has run past the newest command."""
         return max(0, self._now - self.newest)
 
     @property
     def overdue(self) -> int:
-        """How far playout time would have run past the newest command [ns] without a speed limit: silence is noticed no later."""
+        """How far playout time would have run past the newest command without a speed limit."""
         return max(0, self._now + self.rate.put_off - self.newest)
 
     @property
     def backlog(self) -> int:
-        """How much motion, in the sender's time, a speed limit or a standstill has put off [ns]; rest to come does not count."""
+        """Motion that a speed limit or a standstill has put off, in the sender's time; rest to come does not count."""
         commands = self._commands
         if not self.rate.put_off or not commands:
             return 0
@@ -195,11 +189,11 @@ class Playout:
 
     @property
     def shortfall(self) -> int:
-        """How late the next command already is against the quickest ones [ns]."""
+        """Lateness of the next command against the quickest ones."""
         return self._arrivals.high - (self.newest - self._clock)
 
     def lead_time(self, stamp: int) -> int:
-        """Return how far `stamp` [ns] lies ahead of playout time [ns], without what a speed limit has put off."""
+        """Return how far a stamp lies ahead of playout time, without what a speed limit has put off."""
         return stamp - self._now - self.rate.put_off
 
     def push(self, stamp: int, q: Pose, waited: int = 0) -> bool:
@@ -222,7 +216,7 @@ class Playout:
         return stamp > self._now
 
     def learn(self, jitter: int) -> None:
-        """Take a jitter [ns] that no command of this stream shows. One beyond the longest delay is no jitter, but a cut."""
+        """Take a jitter that no command of this stream shows, unless it is beyond the longest delay: a cut."""
         if jitter > self.bounds.longest:
             return
         self._arrivals.learn(jitter)
@@ -230,10 +224,7 @@ class Playout:
             self.delay = self.bounds.delay(self._arrivals.learned)
 
     def advance(self, elapsed: int) -> tuple[int, Pose]:
-        """Move playout time on by controller time [ns]; return stamp [ns] and pose [rad], shape (n,), of the target there.
-
-        Before the first command's stamp it is the first command, past the newest it is the newest.
-        """
+        """Move playout time on; return the target there with its stamp: the first command before its own, the newest behind."""
         commands, rate = self._commands, self.rate
         while len(commands) > 1 and commands[1][0] <= self._now:
             self._before = commands.popleft()
@@ -252,7 +243,7 @@ class Playout:
         return stamp, target
 
     def status_fields(self) -> dict:
-        """Return what the playout does, for the status: ms, and the rate's deviation in percent."""
+        """Return the fields of the status: ms, and the rate's deviation in percent."""
         return {
             "delay_ms": self.delay / 1e6,
             "jitter_ms": self._arrivals.observed / 1e6,

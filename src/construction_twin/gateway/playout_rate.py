@@ -2,8 +2,7 @@
 
 Time is moved for all joints together, never for a joint by itself, so the path stays what it is. Played at a rate 1 + r, a
 motion's velocity is multiplied by 1 + r and its acceleration by (1 + r)^2, and a change of r adds velocity times dr/dt: the rate
-changes only as far as the joints' limits leave room for. stamps in ns, positions in rad (m for prismatic
-joints).
+changes only as far as the joints' limits leave room for. ns; rad, m for prismatic joints.
 """
 
 from __future__ import annotations
@@ -113,12 +112,12 @@ class PlayoutRate:
         self.remaining += by
 
     def skip(self, by: int) -> None:
-        """Take note of rest that was put off and is not played [ns]."""
+        """Drop rest that was put off."""
         self.put_off -= by
         self.remaining -= by
 
     def restart_from_rest(self, put_off: int) -> None:
-        """Put off what was not played [ns]; time begins anew from a standstill, as fast as the acceleration limits allow."""
+        """Put off what was not played; time begins anew from a standstill, as fast as the acceleration limits allow."""
         self._put_off(put_off)
         self._limits = self._starting = True
         self._rate, self._before, self._last = 0.0, None, None
@@ -129,13 +128,13 @@ class PlayoutRate:
         self._pace = self._paces[CATCH_UP]
 
     def advance(self, elapsed: int, commands: Commands, begun: bool, rests: bool, target: Callable[[int], Pose]) -> int:
-        """Return how far playout time advances in this cycle [ns].
+        """Return how far playout time advances in this cycle.
 
         Args:
-            elapsed: Controller time since the last one [ns].
+            elapsed: Controller time.
             commands: Playout time lies between the first two, once it has `begun`.
-            rests: They are all one pose, and so is what was played last.
-            target: From an advance [ns] to the pose there.
+            rests: They and the last pose played are one pose.
+            target: Pose at an advance.
         """
         if elapsed != self.cycle_ns:
             # what comes after missed telegrams cannot be compared with what was before them

@@ -42,12 +42,7 @@ _FAILED = Sentence("the gateway has failed")
 
 
 class GatewayService:
-    """Sockets around a Gateway; see there and `TelegramInbox` for what is not named here.
-
-    Args:
-        sock: Bound UDP socket.
-        stops: Keeps a stop beyond this run; None: it is forgotten.
-    """
+    """Sockets around a `Gateway`; `sock` is bound, `controller` the only address that is read."""
 
     def __init__(
         self,
@@ -66,7 +61,7 @@ class GatewayService:
         self._sock = sock
         self.controller = ControllerSocket(self.gateway, sock, controller)
         self._thread_failure: BaseException | None = None
-        # what failed, until it has been told
+        # what failed, until it is published
         self._cause: BaseException | None = None
         self._selector = selectors.DefaultSelector()
         self._selector.register(sock, selectors.EVENT_READ, None)
@@ -79,7 +74,7 @@ class GatewayService:
 
     @property
     def failure(self) -> str:
-        """What failed, in one sentence; "" while nothing has."""
+        """The sentence of the gateway's failure; "" for none."""
         return self.mqtt.failure
 
     def run(self) -> None:
@@ -130,24 +125,19 @@ class GatewayService:
 
     def _fail(self, error: BaseException) -> None:
         if self.failure:
-            # said once; whatever else fails after that changes nothing any more
             self.gateway.counters["failures"] += 1
             return
         self.controller.last_resort.begin()
         self.mqtt.failure = _FAILED
         self.gateway.counters["failures"] += 1
-        # told after the next reply: the controller waits neither for a sentence nor for a log line
+        # published after the next reply: the controller waits for no sentence and no log line
         self._cause = error
 
     def _publish_failure(self) -> None:
         error, self._cause = self._cause, None
         if error is None:
             return
-        frame = error.__traceback__
-        while frame is not None and frame.tb_next is not None:
-            frame = frame.tb_next
-        where = f" in {frame.tb_frame.f_code.co_name}" if frame is not None else ""
-        what = f"{type(error).__name__}{where}: {error}"[:_LONGEST_FAILURE]
+        what = f"{type(error).__name__}: {error}"[:_LONGEST_FAILURE]
         self.mqtt.failure = Sentence(
             "{what}; the gateway has failed: it brakes, holds and takes no command; see its log, start it again",
             what=what,

@@ -18,15 +18,15 @@ from construction_twin.core.units import NANOSECONDS
 
 #: A switch further ahead of the playout than this is refused [s]: it would be one for a motion that nobody sees yet.
 MOST_AHEAD = 2.0
-#: Switches that are told.
+#: Switches in the status.
 MOST_REPORTED = 16
 #: Longest id of a switch, and name of an output [characters].
 LONGEST_TEXT = 160
 #: Ids of switches that are remembered: one is used once.
 MEMORY = 1000
-#: Outputs that read back as something else than commanded for longer than this are told, and nothing is switched [s].
+#: While outputs read back otherwise than commanded for longer than this, nothing is switched [s].
 LONGEST_DIFFERENCE = 0.1
-#: Inputs that chatter are told no more often than this [s].
+#: Inputs that chatter are published no more often than this [s].
 SHORTEST_PAUSE = 0.05
 
 _NOT_READABLE, _FIRED = Sentence("telegrams do not tell Out and In, each channel as 0 or 1"), Sentence("fired")
@@ -34,7 +34,7 @@ _NOT_READABLE, _FIRED = Sentence("telegrams do not tell Out and In, each channel
 
 @dataclass
 class ToolSwitch:
-    """One switch, as `status` tells it; it fires with the setpoint of `stamp` [ns]."""
+    """One switch; it fires with the setpoint of `stamp` [ns]."""
 
     id: str
     output: str
@@ -58,7 +58,7 @@ class ToolSwitches:
         self._armed: list[ToolSwitch] = []
         self._reported: deque[ToolSwitch] = deque(maxlen=MOST_REPORTED)
         self._used: deque[str] = deque(maxlen=MEMORY)
-        #: Changes since the last call of `pop_change`: one that is told at once, one that may wait for others.
+        #: Changes since the last call of `pop_change`: one that is published at once, one that may wait for others.
         self._urgent = True
         self._changed = False
         self._telegrams = self._reported_at = 0
@@ -93,7 +93,7 @@ class ToolSwitches:
         )
 
     def on_reading(self, reading: ToolReading | None) -> None:
-        """Store what the newest telegram reads; None when it cannot be read."""
+        """Store the newest telegram's reading; None: unreadable."""
         self._latest = reading
 
     def begin_controller_session(self) -> None:
@@ -185,12 +185,7 @@ class ToolSwitches:
     # -- the command side
 
     def arm(self, value: object, lead: float | None, obstacle: str) -> str:
-        """Take the value of a `switch`; return "" when it is armed, else why not.
-
-        Args:
-            lead: How far the stamp lies ahead of the playout [s]; None without one.
-            obstacle: Why nothing may be switched now; "" for nothing.
-        """
+        """Arm the value of a `switch` whose stamp lies `lead` [s] ahead of the playout; return "", or why not."""
         switch = _switch_of(value)
         if switch is None:
             return (
@@ -243,7 +238,7 @@ class ToolSwitches:
     # -- status
 
     def pop_change(self) -> bool:
-        """Return whether something is to be told now; inputs that chatter wait until others have been told for a while."""
+        """Return whether the status is due; inputs that chatter wait `SHORTEST_PAUSE`."""
         if not self._urgent and not (self._changed and self._telegrams - self._reported_at >= self._pause):
             return False
         self._urgent = self._changed = False
@@ -251,7 +246,7 @@ class ToolSwitches:
         return True
 
     def status_fields(self, failure: str = "") -> dict:
-        """Return what `status` says of the tool; `failure`: why nothing of it is true any more."""
+        """Return the fields of `status`; `failure`: why they hold no more."""
         reading = self._reading
         unknown = failure or self._unknown or self.difference
         return {

@@ -43,11 +43,10 @@ class TraceEntry:
     """One answered telegram.
 
     Attributes:
-        ipoc: [ms]
-        stamp: Of the target played [ns, sender's clock]; 0 for none.
-        session: Number of the controller session, from 1; counted modulo 65536.
-        position: Shape (n,). Origin plus correction [rad].
-        lost: The reply before this one did not arrive in time: this one is a step from what was before that.
+        stamp: Of the target played, on the sender's clock; 0 for none.
+        session: Number of the controller session, from 1; modulo 65536.
+        position: Shape (n,). Origin plus correction.
+        lost: The reply before this one did not arrive in time: this one is a step from the one before that.
     """
 
     ipoc: int

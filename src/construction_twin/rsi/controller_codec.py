@@ -35,10 +35,7 @@ _NO_STATUS = RsiStatus()
 class RobotEncoder:
     """Writes controller packets; the blocks always have six attributes, and an axis that is not there reads 0.
 
-    Args:
-        precision: Decimals of every sent value, 1 to 32 (the ETHERNET object's `Precision`).
-        send: Blocks in the order of the Ethernet XML, see `RsiLayout`.
-        units: Default: every axis is revolute, and in the controller's own units.
+    `precision` is that of the ETHERNET object: decimals of every value, 1 to 32.
     """
 
     def __init__(
@@ -74,12 +71,11 @@ class RobotEncoder:
         status: RsiStatus = _NO_STATUS,
         signals: Mapping[str, bool] = MappingProxyType({}),
     ) -> bytes:
-        """Write one packet; what is not known of status and signals is sent as 0.
+        """Write one packet; unknown status and signals are sent as 0.
 
         Args:
-            measured, setpoint: Length n. For AIPos and EIPos, ASPos and ESPos [rad] ([m] for a linear axis).
             measured_pose, setpoint_pose: Length 6. X, Y, Z [m] and A, B, C [rad], for RIst and RSol.
-            signals: Outputs and inputs of a tool by their TAGs, e.g. ``Out.vacuum``.
+            signals: By their TAGs, e.g. ``Out.vacuum``.
         """
         values: dict[str, float] = {"Delay.D": delay, **signals}
         for channels, q in ((self._measured, measured), (self._programmed, setpoint)):

@@ -23,11 +23,7 @@ from construction_twin.rsi.tool_channels import IN, OUT, SET, is_set_channel
 
 
 class EthernetXmlError(ConfigurationError):
-    """An RSI Ethernet XML cannot be used.
-
-    Attributes:
-        element: Path or TAG of the element that does not fit, e.g. ``CONFIG/PORT`` or ``RECEIVE AK.A1 HOLDON``.
-    """
+    """An RSI Ethernet XML cannot be used; `element`: what does not fit, e.g. ``CONFIG/PORT`` or ``RECEIVE AK.A1 HOLDON``."""
 
     def __init__(self, where: str, element: str, value: object, expected: str):
         self.element = element
@@ -55,12 +51,7 @@ _OUTPUT = re.compile(r"Out\.[0-9]{2}").fullmatch
 
 @dataclass(frozen=True)
 class EthernetXml:
-    """What an Ethernet XML says.
-
-    Attributes:
-        address: IP_NUMBER: where the controller sends to.
-        layout: Everything about the telegrams; `send` has the wire names, without ``DEF_``.
-    """
+    """IP_NUMBER of an Ethernet XML, and its telegrams; `send` has the wire names, without ``DEF_``."""
 
     address: str
     layout: RsiLayout

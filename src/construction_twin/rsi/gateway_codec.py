@@ -1,7 +1,6 @@
 """RSI telegrams as bytes, the gateway's side: reads `Rob` (controller to PC), writes `Sen` (PC to controller).
 
-The border where degrees and millimetres end. Telegrams are checked completely or refused, with the reasons of `telegram`; the other
-side is `controller_codec`. Standard library only, and fast enough for every 4 ms cycle.
+The border where degrees and millimetres end. Telegrams are checked completely or refused, with the reasons of `telegram`.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from construction_twin.core.errors import TelegramError
 from construction_twin.core.udp import MAX_TELEGRAM
 from construction_twin.rsi.layout import EXTERNAL_AXES, STOP, RsiLayout
 from construction_twin.rsi.telegram import (
-    attribute_template,
     axis_units,
     check_values,
     correction_channels,
@@ -180,12 +178,10 @@ class SensorEncoder:
     def encode(
         self, correction: Sequence[float], ipoc: int, stop: bool | None = None, switched: tuple[bool, ...] = ()
     ) -> bytes:
-        """Write one reply: fixed point, six decimals of a degree or mm, never ``-0.000000``.
+        """Write one reply: fixed point, six decimals of a degree or mm, never ``-0.000000``; see `Encoder`.
 
         Args:
-            correction: Length n. [rad] ([m] for a linear axis)
             stop: Content of the `Stop` element. None: 0 where the element is declared, else no element.
-            switched: One per name of `RsiLayout.switched`. (): all 0, which leaves the outputs alone.
         """
         check_values("correction", correction, self._count)
         values = [correction[index] * factor for index, factor in self.order]
@@ -204,8 +200,9 @@ def _reply(
         element, _, axis = channel.partition(".")
         elements.setdefault(element, []).append(axis)
     flag = f"<{STOP}>{int(bool(stop))}</{STOP}>"
+    number = f'="%.{CORRECTION_DECIMALS}f"'
     body = "".join(
-        flag if name == STOP else f"<{name} {attribute_template(axes, CORRECTION_DECIMALS)}/>"
+        flag if name == STOP else f"<{name} {' '.join(axis + number for axis in axes)}/>"
         for name, axes in elements.items()
     )
     return f'<Sen Type="{sentype}">{body}{set_element(names, switched)}<IPOC>%d</IPOC></Sen>'.encode()

@@ -1,4 +1,4 @@
-"""What an Ethernet XML fixes about the telegrams of one controller."""
+"""The telegrams of one controller, as an Ethernet XML declares them."""
 
 from __future__ import annotations
 
@@ -17,19 +17,16 @@ EXTERNAL_AXES = ("E1", "E2", "E3", "E4", "E5", "E6")
 
 @dataclass(frozen=True)
 class RsiLayout:
-    """The telegrams that an Ethernet XML declares.
+    """The telegrams of an Ethernet XML.
 
     Attributes:
-        sentype: SENTYPE: the `Type` of every reply.
-        port: UDP port of the PC.
+        sentype: The `Type` of every reply.
         onlysend: True: the controller expects no answers and takes no corrections.
-        send: Blocks of a packet as they appear on the wire, in order, e.g. ``AIPos``; `IPOC` follows.
+        send: Blocks of a packet in order, e.g. ``AIPos``; `IPOC` follows.
         receive: Channels of a reply in order: ``Stop``, or element and axis, e.g. ``AK.A1``; `IPOC` follows.
         holdon: Per channel of `receive`: True keeps the last value when a reply is missed, False falls to 0.
-        not_filled: Digital outputs that the file declares, e.g. ``Out.01``; no reply carries them, so they stay as they are at
-            RSI's start.
-        switched: Channels of a reply that set a tool's outputs, without ``Set.``, in order: ``Enable`` and the outputs' names.
-        switched_holdon: Per channel of `switched`, as `holdon`.
+        not_filled: Digital outputs, e.g. ``Out.01``, that no reply carries, so that they stay as they are at RSI's start.
+        switched, switched_holdon: Channels of a reply that set a tool's outputs: ``Enable`` and the outputs' names.
     """
 
     make: ClassVar[str] = "rsi"
@@ -54,12 +51,12 @@ class RsiLayout:
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Outputs of a tool that telegrams tell."""
+        """Outputs of a tool in packets."""
         return names_of(OUT, self.send)
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Inputs of a tool that telegrams tell."""
+        """Inputs of a tool in packets."""
         return names_of(IN, self.send)
 
     @property

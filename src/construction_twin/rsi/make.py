@@ -63,7 +63,7 @@ _TEXT = f"""<ROOT>
 
 
 def receive_channels(axes: Sequence[str], holdon: Mapping[str, bool] | None = None) -> list[tuple[str, str, int]]:
-    """Return TAG, TYPE and HOLDON of a reply's channels, in the order of their INDX, from 1; see `ethernet_xml_text`."""
+    """Return TAG, TYPE and HOLDON of a reply's channels, in the order of their INDX, from 1."""
     corrections = [(f"{default_element(axis)}.{axis}", "DOUBLE", 1) for axis in sorted(axes)]
     outputs = [(f"{SET}.{name}", "BOOL", int(held)) for name, held in (holdon or {}).items()]
     return [(STOP, "BOOL", 0), *corrections, *([(f"{SET}.{ENABLE}", "BOOL", 1)] if outputs else []), *outputs]
@@ -77,10 +77,7 @@ def send_channels(outputs: Sequence[str], inputs: Sequence[str]) -> list[str]:
 def ethernet_xml_text(
     axes: Sequence[str], receives: bool = True, holdon: Mapping[str, bool] | None = None, inputs: Sequence[str] = ()
 ) -> str:
-    """Return the text of an Ethernet XML with a correction channel for each axis, unless the controller only sends.
-
-    `holdon` are the tool's outputs, and whether each keeps its value when a reply is missed; `inputs` are the tool's.
-    """
+    """Return the text of an Ethernet XML; `holdon`: whether each of the tool's outputs keeps its value when a reply is missed."""
     external = ["EIPos", "ESPos"] if any(axis in EXTERNAL_AXES for axis in axes) else []
     internal = [(f"DEF_{name}", "DOUBLE", "INTERNAL") for name in ("RIst", "RSol", "AIPos", "ASPos", *external)]
     signals = [(tag, "BOOL", str(index)) for index, tag in enumerate(send_channels(list(holdon or ()), inputs), 1)]
@@ -174,7 +171,7 @@ class RsiSessionRules:
     def restart_sign(
         self, telegram: Telegram, origin: tuple[float, ...], correction: tuple[float, ...], moving: bool
     ) -> str:
-        """Return what shows that a program ended RSI and began it anew; "" for nothing. The correction is zero then."""
+        """See `SessionRules.restart_sign`; the correction is zero then."""
         measured, setpoint, tolerances = telegram.measured, telegram.setpoint, self._tolerances
         if not origin or outside_tolerance(correction, (0.0,) * len(correction), tolerances) is None:
             return ""
@@ -238,7 +235,7 @@ def last_resort(setup: Setup[RsiLayout]) -> LastResort:
 
 
 def status_of(shown: MockStatus) -> RsiStatus:
-    """Return what the optional channels of a mock say."""
+    """Return the status in a mock's telegrams."""
     return RsiStatus(
         shown.mode or (_T1 if shown.slow else _AUT),
         shown.program or _ACTIVE,
@@ -249,7 +246,7 @@ def status_of(shown: MockStatus) -> RsiStatus:
 def controller_side(
     layout: RsiLayout, axes: tuple[str, ...], units: tuple[AxisUnit, ...], precision: int
 ) -> ControllerSide:
-    """Return what a KR C4 with this layout writes and reads; a hidden output is left out: a 0 would say something else."""
+    """Return the side of a KR C4 with this layout; a hidden output is left out: 0 would be a value."""
     shown = tuple(tag for tag in layout.send if not tag.startswith(f"{OUT}."))
     full = RobotEncoder(axes, precision, layout.send, units)
     hiding = full if shown == layout.send else RobotEncoder(axes, precision, shown, units)

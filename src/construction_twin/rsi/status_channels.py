@@ -34,14 +34,14 @@ _PROGRAM_SENTENCES = {
 
 @dataclass(frozen=True, slots=True)
 class RsiStatus:
-    """What a controller says of itself, see `MODES`, `PROGRAM_STATES`; override in percent. None: not told, or not readable."""
+    """A controller's report on itself, see `MODES`, `PROGRAM_STATES`; override in percent. None: unknown."""
 
     mode: int | None = None
     program: int | None = None
     override: float | None = None
 
     def status_fields(self) -> dict[str, str | float]:
-        """Return what is known, in words, and one sentence on why the arm may not move; "" for no reason."""
+        """Return the known fields in words, with the sentence."""
         found: dict[str, str | float] = {}
         if self.mode is not None:
             found["mode"] = MODES.get(self.mode, f"number {self.mode}")
@@ -53,7 +53,7 @@ class RsiStatus:
 
     @property
     def sentence(self) -> str:
-        """Why the arm may not move, or not as expected; "" when nothing of this kind is known."""
+        """See `ControllerStatus.sentence`."""
         parts = [_MODE_SENTENCES.get(self.mode or 0, ""), _PROGRAM_SENTENCES.get(self.program or 0, "")]
         if self.override is not None and self.override < 100.0:
             parts.append(
@@ -90,7 +90,7 @@ class StatusReader:
         self._unreadable = 0
 
     def read(self, data: bytes) -> tuple[RsiStatus, int]:
-        """Read what a telegram says that was read as one before, and how many channels are missing or no number of the kind."""
+        """Read a checked telegram's status, and how many channels are missing or no number of the kind."""
         texts = [None if search is None else _text(search(data)) for search in self._searches]
         if texts != self._texts:
             # the same for minutes

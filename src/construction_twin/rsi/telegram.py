@@ -113,11 +113,6 @@ def correction_channels(axes: tuple[str, ...], receive: tuple[str, ...]) -> tupl
     return receive or tuple(f"{default_element(axis)}.{axis}" for axis in axes)
 
 
-def attribute_template(names: Sequence[str], decimals: int) -> str:
-    """Return the %-template of an element's attributes."""
-    return " ".join(f'{name}="%.{decimals}f"' for name in names)
-
-
 def check_values(name: str, values: Sequence[float], count: int) -> None:
     """Raise TelegramError (``number``) unless there are `count` values, all finite."""
     if len(values) != count:

@@ -1,4 +1,4 @@
-"""The channels of a tool in an Ethernet XML, and how a telegram tells its outputs and inputs; <name> as in the tool file.
+"""The channels of a tool in an Ethernet XML and in telegrams; <name> as in the tool file.
 
 RECEIVE  Set.<output>  BOOL   what the output shall be
 RECEIVE  Set.Enable    BOOL   1 once the PC knows the outputs; while it is 0, the RSI context leaves them alone
@@ -43,7 +43,7 @@ class ToolReader:
         self._reading: ToolReading | None = None
 
     def read(self, data: bytes) -> ToolReading | None:
-        """Return what a telegram tells; None when a channel is missing, there twice, or neither 0 nor 1."""
+        """Return a telegram's signals; None when a channel is missing, there twice, or neither 0 nor 1."""
         texts = [find(data) for find in self._finds]
         if texts != self._texts:
             # the same for minutes
