@@ -19,7 +19,6 @@ from twin_client import RobotTest, Stream, TwinClient, wait
 
 from construction_twin.kinematics.chain import Chain
 from construction_twin.ros.commands import new_arm
-from construction_twin.scene import self_collision_command
 
 #: In the robot's order, pan to wrist_3 [deg]. Where a person would rather have its home than where `new_arm` has put it.
 HOME = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
@@ -50,8 +49,8 @@ def make_arm(folder: Path) -> Path:
         joint["home_deg"] = angle
     config.write_text(yaml.safe_dump(description))
     pairs = made / "ur_like_self_collision.yaml"
-    again = [str(xacro), str(config), str(pairs), "--robot-xacro-args", XACRO_ARGS, "--no-hulls", *common]
-    self_collision_command.main(again)
+    again = [str(xacro), str(config), str(pairs), "--robot-xacro-args", XACRO_ARGS, *common]
+    new_arm.sample_pairs(again)
     return made / "ur_like.launch"
 
 

@@ -174,16 +174,5 @@ def parameters(points: np.ndarray, pace: np.ndarray) -> np.ndarray:
     return np.concatenate(([0.0], np.cumsum(_spans(points, pace))))
 
 
-def with_close_corners(points: np.ndarray, pace: np.ndarray, levers: np.ndarray, miss: float) -> np.ndarray:
-    """Add points on the lines beside the corners, so that `rounded` misses no point by more, over all joints with their levers."""
-    spans, at = _spans(points, pace), parameters(points, pace)
-    turns = np.abs(np.diff(np.diff(points, axis=0) / spans[:, None], axis=0)) @ levers
-    wide = 0.5 * np.minimum(spans[:-1], spans[1:]) * turns > 6.0 * miss
-    # the cut of a corner ends half way to the next point
-    beside = 12.0 * miss / turns[wide]
-    where = np.unique(np.concatenate((at, at[1:-1][wide] - beside, at[1:-1][wide] + beside)))
-    return np.column_stack([np.interp(where, at, column) for column in points.T])
-
-
 def _spans(points: np.ndarray, pace: np.ndarray) -> np.ndarray:
     return np.max(np.abs(np.diff(points, axis=0)) / pace, axis=1)

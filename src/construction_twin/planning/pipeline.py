@@ -23,7 +23,7 @@ from construction_twin.planning.limit_usage import SAME_POINT, sampled_usage
 from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
 from construction_twin.planning.recheck import CollisionError, recheck
 from construction_twin.planning.request_limits import distinct
-from construction_twin.planning.timing import TimedPath, time_curve, time_path
+from construction_twin.planning.timing import time_curve, time_path
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.waypoints import Waypoints, WaypointTimesError, asked_path, plan_waypoints, time_asked
 from construction_twin.planning.work_plan import joined, plan_work
@@ -43,22 +43,16 @@ from construction_twin.scene.self_collision import SelfCollision, sample_self_co
 class RetimedCollisionError(CollisionError):
     """A motion whose times were replaced touches something; `where` names points of the sender, who knows no others."""
 
-    def __init__(self, between: tuple[str, str], where: str, why: str, lines_free: bool):
-        self.why, self.lines_free = why, lines_free
+    def __init__(self, between: tuple[str, str], where: str, why: str):
+        self.why = why
         super().__init__(between, where)
 
     def _sentence(self, **values: str) -> Sentence:
-        values["why"] = self.why
-        if self.lines_free:
-            return Sentence(
-                "{first} touches {second} ({where}), or comes closer than the padding, although the straight lines between the "
-                "points are free; use more points there. The motion was timed anew, because {why}",
-                **values,
-            )
         return Sentence(
-            "{first} touches {second} ({where}, on the straight line), or comes closer than the padding; choose another way. "
-            "The times are not the reason: the motion was timed anew, because {why}",
+            "{first} touches {second} ({where}), or comes closer than the padding, on the curve through the points; use more "
+            "points there, or choose another way. The motion was timed anew, because {why}",
             **values,
+            why=self.why,
         )
 
 
@@ -245,7 +239,7 @@ class PlanningPipeline:
         return self._in_scene(checked)
 
     def _retimed(self, path: Waypoints, request: PlanRequest, world: CollisionWorld, why: str) -> Plan:
-        """Time a path anew through its points, or on the free lines between them where the curve through them touches something."""
+        """Time a path anew through its points; RetimedCollisionError where the curve through them touches something."""
         # what was asked for is the sender's own pace, not the planner's default
         speed = 1.0 if request.speed_scale is None else request.speed_scale
         request = replace(request, speed_scale=speed, duration=None, waypoints=None)
@@ -255,45 +249,13 @@ class PlanningPipeline:
         try:
             measured = recheck(timed.trajectory, self._robot, world, self._clock, timed.usage)
         except CollisionError as error:
-            return self._along_lines(path, request, world, why, error, timed)
+            assert timed.passing_times is not None and error.time is not None
+            rows = np.flatnonzero(distinct(path.positions))
+            row = rows[np.clip(np.searchsorted(timed.passing_times, error.time), 1, len(rows) - 1)]
+            raise RetimedCollisionError(error.between, path.way_to(int(row)), why) from error
         planner = f"waypoints, timed anew ({why})"
         plan = request.plan(planner, planning_time, timed.trajectory, measured, world.scene.hash)
         return replace(plan, retimed=why)
-
-    def _along_lines(
-        self,
-        path: Waypoints,
-        request: PlanRequest,
-        world: CollisionWorld,
-        why: str,
-        error: CollisionError,
-        timed: TimedPath,
-    ) -> Plan:
-        """Time a path anew on the lines between its points, where the curve through them, which is `timed`, touches something."""
-        found = world.first_contact(path.positions)
-        if found is not None:
-            place, contact = found
-            on_way = path.way_to(min(int(place) + 1, len(path.rows) - 1))
-            raise RetimedCollisionError(contact.between, on_way, why, lines_free=False) from error
-        assert timed.passing_times is not None and path.times is not None and error.time is not None
-        rows = np.flatnonzero(distinct(path.positions))
-        way = path.way_to(int(rows[np.clip(np.searchsorted(timed.passing_times, error.time), 1, len(rows) - 1)]))
-        first, second = error.between
-        retimed = Sentence(
-            "{why}; on the straight lines between the points, with rounded corners, because on a curve "
-            "through them {first} touches {second} ({where})",
-            why=why,
-            first=first,
-            second=second,
-            where=way,
-        )
-        # of equal points at the end the last one is the goal, and its time the motion's
-        rows[-1] = len(path.rows) - 1
-        planner = f"waypoints, timed anew ({retimed})"
-        plan = self._planner.along_lines(path.positions[rows], path.times[rows], request, world, planner)
-        if plan is None:
-            raise RetimedCollisionError((first, second), way, why, lines_free=True) from error
-        return replace(plan, retimed=retimed)
 
     def work(self, start: JointValues, task: str, segments: Sequence[WorkSegment], request: PlanRequest) -> Plan:
         """Join the segments of a task to a work plan and check each in its scene; see `work_plan.plan_work`."""

@@ -20,7 +20,6 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import Configuration, InverseKinematics
-from construction_twin.planning.curves import parameters, with_close_corners
 from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
 from construction_twin.planning.ompl_search import NoPathError, OmplSearch, PathQuery, ompl_planners
 from construction_twin.planning.recheck import CollisionError, recheck
@@ -40,8 +39,6 @@ TIMINGS_TRIED = 3
 FINEST_HALVING = 2
 #: A joint with a larger range is searched only half of this to either side of the motion's ends [rad].
 TURN = 2.0 * np.pi
-#: No point of the arm is further than this from where it is at a given point, where a motion cuts the corner there [m].
-CORNER_MISS = 0.01
 #: Most joint solutions of a goal pose that the search is given, nearest first. Straight motions are tried to all.
 GOALS = 8
 #: Name of the planner in a plan that is a straight line between two joint vectors.
@@ -242,36 +239,10 @@ class Planner:
             np.where(turns, np.minimum(upper, ends.max(axis=0) + 0.5 * TURN), upper),
         )
 
-    def along_lines(
-        self, points: np.ndarray, times: np.ndarray, request: PlanRequest, world: CollisionWorld, planner: str
-    ) -> Plan | None:
-        """Plan a motion on the straight lines between points, with rounded corners; None if even the tightest touches something.
-
-        Args:
-            points: Shape (m, n). From the start to the goal; successive points differ, and the lines between them are free.
-            times: Shape (m,). Increasing [s]: no less time is taken from one point to the next.
-        """
-        began, pace = self._clock(), np.array(self._robot.velocity)
-        path = with_close_corners(points, pace, world.levers, CORNER_MISS)
-        timed = self._timed(path, request, world, (parameters(points, pace), times))
-        if timed is None:
-            return None
-        trajectory, report = timed
-        planning_time = self._clock() - began - report.recheck_time
-        return request.plan(planner, planning_time, trajectory, report, world.scene.hash)
-
     def _timed(
-        self,
-        path: np.ndarray,
-        request: PlanRequest,
-        world: CollisionWorld,
-        asked: tuple[np.ndarray, np.ndarray] | None = None,
+        self, path: np.ndarray, request: PlanRequest, world: CollisionWorld
     ) -> tuple[Trajectory, PlanReport] | None:
-        """Round a path's corners, time it and check every sample; None if it touches something even with the tightest corners.
-
-        Args:
-            asked: Where on the path points are (`curves.parameters`), and their times [s]; None: as fast as the limits allow.
-        """
+        """Round a path's corners, time it and check every sample; None if it touches something even with the tightest corners."""
         speed_scale = request.speed_scale
         if speed_scale is None:  # a duration already determines the speed, so the default applies only without one
             speed_scale = self._settings.speed_scale if request.duration is None else 1.0
@@ -292,7 +263,6 @@ class Planner:
                 request.waypoints,
                 corner_fraction=1.0,
                 bounds=self._settings.bounds,
-                times=None if asked is None else np.interp(parameters(path, pace), *asked),
             )
             try:
                 report = recheck(timed.trajectory, self._robot, world, self._clock, timed.usage)

@@ -108,8 +108,7 @@ def timed_path(
         corner_fraction: In (0, 1]: follow the straight lines between the points and round the corners over this fraction of the
             available length (`curves.rounded`); never out of range. Default: a curve through all points (`curves.interpolated`, or
             `curves.monotone` where that would leave the range).
-        times: Shape (m,). Increasing [s]: from one point to the next the motion takes no less time than these do; with
-            `corner_fraction` from where it is nearest to one to where it is nearest to the next.
+        times: Shape (m,). Increasing [s]: from one point to the next the motion takes no less time than these do.
 
     Raises:
         JointRangeError: If a point is out of range, or the motion between few waypoints leaves the range.

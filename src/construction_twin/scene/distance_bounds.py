@@ -64,20 +64,21 @@ def body_levers(robot: RobotBodies, bodies: Sequence[Body], strokes: np.ndarray)
     The former in Pinocchio's order, shape (size, b): [m/rad], 1 for a prismatic joint, 0 for one that does not move the body.
     """
     model = robot.model
+    axes = {joint: (axis, linear) for joint, axis, linear in robot.joint_axes}
     per_body = np.zeros((model.nq, len(bodies)))
     reaches = []
     for column, body in enumerate(bodies):
         body.geometry.computeLocalAABB()
-        centre = body.placement.act(np.array(body.geometry.aabb_center))
-        distance = float(np.linalg.norm(centre)) + body.geometry.aabb_radius
+        # no point of the body is further than `around` from `offset`, in the joint's frame
+        offset, around = body.placement.act(np.array(body.geometry.aabb_center)), body.geometry.aabb_radius
         joint = body.joint
         while joint:
-            index = model.joints[joint].idx_q
-            linear = model.joints[joint].shortname().startswith("JointModelP")
-            per_body[index, column] = 1.0 if linear else distance
-            distance += float(np.linalg.norm(model.jointPlacements[joint].translation)) + linear * strokes[index]
+            index, (axis, linear) = model.joints[joint].idx_q, axes[joint]
+            per_body[index, column] = 1.0 if linear else float(np.linalg.norm(np.cross(axis, offset))) + around
+            around += float(np.linalg.norm(offset)) + linear * strokes[index]
+            offset = model.jointPlacements[joint].translation
             joint = model.parents[joint]
-        reaches.append(distance)
+        reaches.append(float(np.linalg.norm(offset)) + around)
     return per_body, reaches
 
 

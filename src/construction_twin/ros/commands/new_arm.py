@@ -19,7 +19,7 @@ import yaml
 
 from construction_twin.controller.makes import DEFAULT, MODULES, make_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, command_message
-from construction_twin.core.files import check_writable
+from construction_twin.core.files import check_writable, write_atomically
 from construction_twin.core.share import share_file, share_folder
 from construction_twin.kinematics.chain import Chain
 from construction_twin.kinematics.inverse import inverse_kinematics
@@ -27,7 +27,6 @@ from construction_twin.robot.description import ESTIMATES, RobotModel, load_robo
 from construction_twin.robot.new_robot import find_ends, new_description, robot_name, robot_yaml, with_home
 from construction_twin.robot.urdf import expand_xacro, read_text, xacro_arguments
 from construction_twin.ros.nodes.rsi_gateway import gateway_config
-from construction_twin.scene import self_collision_command
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.home import Home, find_home
 from construction_twin.scene.objects import Scene
@@ -36,6 +35,7 @@ from construction_twin.scene.self_collision import (
     SAMPLES,
     SEED,
     SelfCollision,
+    read_pairs,
     read_self_collision,
     sample_self_collision,
     self_collision_yaml,
@@ -115,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Write the files of a new arm."""
     words = rospy.myargv(sys.argv)[1:] if arguments is None else list(arguments)
     if words[:1] == ["self_collision"]:
-        self_collision_command.main(words[1:])
+        sample_pairs(words[1:])
         return 0
     options = _parser().parse_args(words)
     try:
@@ -204,7 +204,6 @@ def _write_files(options: argparse.Namespace, command: str) -> list[str]:
     # what was written is read as everything else will read it
     read_self_collision(files["self_collision"], read_robot_files(path, files["robot_config"], options.xacro_args))
     lines = [*summary(robot, home), "written:", *(f"  {file}" for file in files.values())]
-    lines += self_collision_command.propose_hulls(robot, folder / f"{robot.name}_hulls")
     return [
         *lines,
         "start it with the mock:",
@@ -250,3 +249,59 @@ def _settle(
             return robot, description, pairs, home
         home = find_home(world, np.random.default_rng(SEED))
     raise ConfigurationError("home pose", home.q, f"one that {samples} samples leave free, within {_ATTEMPTS} attempts")
+
+
+def sample_pairs(arguments: Sequence[str]) -> None:
+    """Sample a robot's self collisions and write the file."""
+    options = _pair_parser().parse_args(arguments)
+    if options.samples < 1 or options.seed < 0:
+        sys.exit(f"self_collision: found {options.samples} samples, seed {options.seed}; expected 1 or more, 0 or more")
+    output = None if options.output == "-" else Path(options.output).absolute()
+    try:
+        if output is not None:
+            if not output.parent.is_dir():
+                raise ConfigurationError("--output", str(output), "a file in a folder that exists")
+            check_writable(output.parent)
+        robot = read_robot_files(options.urdf, options.robot, options.robot_xacro_args)
+        _check_owner(output, robot)
+        print(f"sampling {options.samples} poses", file=sys.stderr, flush=True)
+        found = sample_self_collision(robot, options.samples, options.seed)
+        text = self_collision_yaml(robot, found, options.samples, options.seed)
+        if output is None:
+            print(text, end="")
+            return
+        write_atomically(output, text)
+        print(f"{output}: {len(found.ignored)} pairs left out, geometry {found.geometry_hash[:12]} of {robot.name}")
+    except (ConstructionTwinError, OSError) as error:
+        sys.exit(f"self_collision: {error}")
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def _pair_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="new_arm self_collision",
+        description="Find the pairs of links that need no check against each other, and write them to a YAML file.",
+    )
+    parser.add_argument("urdf", help="URDF or xacro")
+    parser.add_argument("robot", help="robot YAML, e.g. config/kr120.yaml")
+    parser.add_argument("output", help="file to write; - for the terminal")
+    parser.add_argument("--robot-xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
+    parser.add_argument("--samples", type=int, default=SAMPLES, help="random poses [%(default)s]")
+    parser.add_argument("--seed", type=int, default=SEED, help="seed of the random numbers [%(default)s]")
+    return parser
+
+
+def _check_owner(output: Path | None, robot: RobotModel) -> None:
+    """Refuse to write over the file of another arm, which would no longer start."""
+    if output is None or not output.exists():
+        return
+    try:
+        owner = read_pairs(output).robot
+    except ConfigurationError:
+        # half a file, or one of an older version: that it is to be written is what was asked for
+        return
+    if owner != robot.name:
+        raise ConfigurationError(
+            str(output), f"the file of robot {owner}", f"a new file for {robot.name}, or one of its own"
+        )
