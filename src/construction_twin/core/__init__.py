@@ -1,4 +1,1 @@
-"""Units, errors, motion limits, files, real-time scheduling, network addresses and travel times.
-
-Standard library only, because the cell PC has nothing else.
-"""
+"""Units, errors, motion limits, files, real-time scheduling, network addresses and travel times; standard library only."""

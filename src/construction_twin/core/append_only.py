@@ -43,15 +43,13 @@ def read_lines(path: str | Path) -> list[dict]:
 
 
 class AppendOnlyFile:
-    """Appends lines to a file, which is created when it does not exist; for use from several threads.
-
-    A last line without its end was never reported as written (the power failed): it is cut off.
+    """Appends lines to a file, from several threads; a last line without its end (power failure) is cut off at the start.
 
     Args:
         failure: Takes the path and what is wrong; returns the error that is raised when a line cannot be written.
 
     Attributes:
-        lost: Deferred lines that were not kept, because `MAX_DEFERRED` others waited for a file that could not be written.
+        lost: Deferred lines dropped beyond `MAX_DEFERRED`.
     """
 
     def __init__(self, path: str | Path, failure: Callable[[str, str], ConstructionTwinError], writer: str):

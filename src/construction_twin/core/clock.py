@@ -1,7 +1,4 @@
-"""The clock that searches and plans are measured with where a caller gives none.
-
-What decides about motion is given its time. Standard library only.
-"""
+"""The clock of searches and plans where a caller gives none."""
 
 from __future__ import annotations
 

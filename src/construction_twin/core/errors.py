@@ -1,8 +1,6 @@
-"""The package's exceptions: one tree, each carrying the data a caller needs to act on it; these are of several folders.
+"""The package's exceptions: each says what happened, the value, what was expected and what to do.
 
-Messages say what happened, the value, what was expected and what to do. Library code raises; only ``ros/`` and the
-command-line entry points catch, and turn an error into a service answer, a counter or one sentence for the operator.
-Standard library only: the gateway on the cell PC imports it.
+Library code raises; only ``ros/`` and the commands catch, and make a service answer, a counter or one sentence of it.
 """
 
 from __future__ import annotations
@@ -109,10 +107,9 @@ class MotionRefused(ConstructionTwinError):
     """A setpoint fails the motion check and must not be executed.
 
     Attributes:
-        reason: Counter name: ``range``, ``velocity``, ``acceleration``, ``braking_room``, ``start``, ``order``, ``lead``,
-            ``values``.
-        joint: Joint that failed, or "" when the setpoint as a whole did.
-        value, limit: In SI units of the check; nan when there is none.
+        reason: Counter: ``range``, ``velocity``, ``acceleration``, ``braking_room``, ``start``, ``order``, ``lead``, ``values``.
+        joint: "" for the setpoint as a whole.
+        value, limit: In SI; nan: none.
     """
 
     def __init__(self, reason: str, joint: str, value: float, limit: float, unit: str = "rad"):
@@ -134,8 +131,7 @@ class MotionRefused(ConstructionTwinError):
 class ProtocolError(ConstructionTwinError):
     """A message from a network does not follow its protocol.
 
-    Attributes:
-        reason: Counter name, e.g. ``length``, ``format``, ``decimals``; of a telegram ``size``, ``xml``, ``element``, ``number``.
+    `reason` is a counter: ``length``, ``format``, ``decimals``; of a telegram ``size``, ``xml``, ``element``, ``number``.
     """
 
     def __init__(self, reason: str, message: str):

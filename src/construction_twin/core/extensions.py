@@ -36,7 +36,7 @@ def import_extension(module: str) -> ModuleType:
 
 
 def run_main(module: str, waits: bool = False) -> object:
-    """Run `main` of an extension's program; without the extension say so and return 2, or wait, as a node of a complete launch."""
+    """Run `main` of an extension's program; without the extension say so and return 2, or wait, as a node of a launch."""
     try:
         main = import_extension(module).main
     except ExtensionAbsent as error:

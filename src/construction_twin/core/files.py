@@ -39,9 +39,9 @@ def write_atomically(path: Path, contents: str | bytes) -> None:
 
 
 def write_in_place(path: Path, text: str, room: int) -> None:
-    """Write a short text over what a file holds, filled up with blanks to `room` [bytes].
+    """Write a short text over what a file holds, filled up with blanks to `room` [bytes], to the disk.
 
-    It is on the disk then, which may have been full since the file was made; after an OSError what the file holds is not known.
+    After an OSError what the file holds is not known.
     """
     data = text.encode().ljust(room)
     file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
@@ -55,10 +55,7 @@ def write_in_place(path: Path, text: str, room: int) -> None:
 
 
 def check_writable(folder: str | Path) -> None:
-    """Check that files can be written into a folder, which need not exist yet. Nothing is left behind.
-
-    For before a long computation: whether its result can be kept shows at its end otherwise.
-    """
+    """Check, before a long computation, that files can be written into a folder, which need not exist yet."""
     folder = Path(folder).absolute()
     there = next(parent for parent in (folder, *folder.parents) if os.path.lexists(parent))
     try:

@@ -1,8 +1,7 @@
 """The last stage before the corrections: a position that follows targets and never leaves the joint limits.
 
-One step per controller cycle. A target that the limits allow is met exactly; any other is chased inside the limits until it
-is met again (`settling`). Whatever comes in, every output lies inside the range, within velocity, and within acceleration
-plus the format's allowance (docs/architecture.md, law 3). Standard library only; rad and rad per cycle, m for prismatic joints.
+One step per controller cycle. A target within the limits is met exactly, any other is chased until it is met (`settling`); law 3 of
+docs/architecture.md. Joint values in rad and rad per cycle, m for prismatic joints.
 """
 
 from __future__ import annotations
@@ -120,10 +119,10 @@ class Follower:
         return speed <= 0.0 or braking_distance(speed, self._budget[index]) <= room + RANGE_SLACK
 
     def _can_stop_with(self, index: int, step: float, drift: float) -> bool:
-        """Return whether a joint that arrives with `step` at a target that moves by `drift` can stop where the target can.
+        """Return whether a joint that meets a target, which moves by `drift`, with `step` can stop where the target can.
 
-        The target may brake as hard as the joint: then a joint that is only a little faster keeps its excess until both stand, and
-        overshoots by the excess in every cycle of braking. One cycle's budget is allowed, and what rounding adds to a step.
+        The target may brake as hard as the joint, so a joint that is faster overshoots by the excess in every cycle of braking:
+        allowed are one cycle's budget, and what rounding adds to a step.
         """
         if step * drift <= 0.0:
             return True

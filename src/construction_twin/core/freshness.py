@@ -1,9 +1,8 @@
-"""How old a person's request is: it repeats the newest moment of the robot that its screen had received. Pure; standard library.
+"""How old a person's request is: it repeats the newest moment of the robot that its screen had received.
 
 A request may lie in a broker, in a socket or behind a disk until nobody looks any more. So what starts motion, or the work for it,
-is void `LIFETIME` after that moment. The moment is read on a clock of the robot's computer that nobody sets, and comes back as it
-was: no clock of a tablet is asked, and a robot's time of day that is set back or forward changes no age. It is against delay, not
-against attackers: who may approve may also make up a moment. What stops, pauses or rejects needs none and is never too old.
+is void `LIFETIME` after that moment, read on a clock of the robot's computer that nobody sets: no tablet's clock is asked. That is
+against delay, not against attackers. What stops, pauses or rejects needs no moment.
 """
 
 from __future__ import annotations

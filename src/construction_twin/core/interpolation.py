@@ -1,7 +1,7 @@
-"""Cubic interpolation between stamped poses: the arithmetic that playout, monitor and evaluation share. Standard library only.
+"""Cubic interpolation between stamped poses: the arithmetic of playout, monitor and evaluation.
 
-A cubic Hermite segment per pair of stamps [ns]. The velocity at a stamp is that of the parabola through it and its neighbours, so a
-motion of constant acceleration is met exactly, also over missing stamps; without a neighbour it is the segment's mean.
+A Hermite segment per pair of stamps [ns], with the velocity of the parabola through a stamp and its neighbours: a motion of
+constant acceleration is met exactly, also over missing stamps. Without a neighbour it is the segment's mean.
 """
 
 from __future__ import annotations
@@ -10,11 +10,9 @@ Pose = tuple[float, ...]
 
 
 def weights(stamp: int, stamp0: int, stamp1: int, before: int | None, after: int | None) -> tuple[float, float, float]:
-    """Return what the differences of neighbouring poses count in the pose at `stamp`: a, b, c.
+    """Return the weights a, b, c of ``q0 + (a * (q0 - q_before) + b * (q1 - q0) + c * (q_after - q1))`` at a stamp.
 
-    The pose is ``q0 + (a * (q0 - q_before) + b * (q1 - q0) + c * (q_after - q1))``. Written in differences, poses that are equal
-    give exactly that pose. `construction_twin.evaluation.alignment.TwinPath` does the same on arrays, operation by operation.
-    Stamps are ``stamp0 <= stamp <= stamp1``, ``stamp0 < stamp1``; of a neighbour before and after them None where there is none.
+    In this form equal poses give exactly that pose. `evaluation.alignment.TwinPath` does the same, operation by operation.
     """
     period = stamp1 - stamp0
     fraction = (stamp - stamp0) / period

@@ -1,8 +1,4 @@
-"""The motion check that the gate and the gateway share: what a stream of setpoints may do from one to the next.
-
-Pure and per joint; standard library only, because the gateway on the cell PC runs it. Angles in rad, prismatic joints in m, stamps
-in ns.
-"""
+"""The motion check of gate and gateway, per joint. Angles in rad, prismatic joints in m, stamps in ns."""
 
 from __future__ import annotations
 
@@ -20,14 +16,7 @@ RANGE_SLACK = 1e-9
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What each joint may do. Units are those of a revolute joint; for a prismatic one (`linear` is True) read m for rad.
-
-    Attributes:
-        names: Joint names, in the order of every other tuple.
-        lower, upper: Shape (n,). Range [rad].
-        velocity, acceleration: Shape (n,). [rad/s], [rad/s^2], both positive.
-        linear: Shape (n,). Default: every joint is revolute.
-    """
+    """What each joint may do: range [rad], velocity [rad/s], acceleration [rad/s^2]; m for rad where `linear` is True."""
 
     names: tuple[str, ...]
     lower: tuple[float, ...]
@@ -70,7 +59,7 @@ class MotionLimits:
 def outside_tolerance(
     q: tuple[float, ...], reference: tuple[float, ...], tolerance: float | Sequence[float]
 ) -> int | None:
-    """Return the index of the first joint further from its reference than a tolerance for all, or its own [rad], [m]; or None."""
+    """Return the first joint further from its reference than its tolerance, or the one for all [rad], [m]; None: there is none."""
     tolerances = (tolerance,) * len(q) if isinstance(tolerance, float) else tolerance
     for index, (value, expected, allowed) in enumerate(zip(q, reference, tolerances)):
         if abs(value - expected) > allowed:
@@ -92,8 +81,8 @@ def distance_off(
 def braking_distance(step: float, deceleration: float) -> float:
     """Return how far braking goes on after a step, which changes by the deceleration, > 0, in each cycle [rad].
 
-    Discrete and exact: the sum of step - deceleration, step - 2 deceleration, ... as long as they are positive. The textbook's
-    v^2 / 2a is half a step longer and would refuse a motion that ends at the end of its range at full deceleration.
+    Exact in cycles: the textbook's v^2 / 2a is half a step longer and would refuse to end at the end of a range at full
+    deceleration.
     """
     cycles = math.floor(step / deceleration)
     return cycles * step - deceleration * cycles * (cycles + 1) / 2
@@ -102,10 +91,8 @@ def braking_distance(step: float, deceleration: float) -> float:
 class MotionCheck:
     """Checks each setpoint of a stream against the one before: range, velocity, acceleration, room to brake.
 
-    A step may be anything between standing still and the previous step, widened by one cycle's acceleration budget: slowing
-    down harder than the limits is the follower's to absorb (docs/architecture.md, law 3), speeding up or turning round harder is
-    refused.
-    The budget includes what rounding to the wire's decimals adds.
+    A step lies between standing still and the previous step, widened by one cycle's acceleration and the wire's rounding: braking
+    harder is the follower's to absorb (law 3), speeding up or turning round harder is refused.
     """
 
     def __init__(self, limits: MotionLimits, decimals: int):
@@ -130,11 +117,7 @@ class MotionCheck:
         self._velocity = (0.0,) * len(q)
 
     def accept(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Check the next setpoint by its nominal time [ns] and remember it; on refusal nothing is remembered.
-
-        Raises:
-            MotionRefused: Reason ``values``, ``range``, ``order``, ``velocity``, ``acceleration`` or ``braking_room``.
-        """
+        """Check the next setpoint by its nominal time [ns] and remember it; MotionRefused: nothing is remembered."""
         self.limits.check_range(q)
         period = (stamp - self._stamp) / NANOSECONDS
         if period <= 0.0:

@@ -1,7 +1,4 @@
-"""How often something may happen: a line of a log of each kind, and a number in any span of time of each sender.
-
-Pure: `now` is an argument, in ns on a monotonic clock. Standard library only.
-"""
+"""Limits of how often something may happen; `now` in ns on a monotonic clock."""
 
 from __future__ import annotations
 
@@ -20,9 +17,9 @@ class LineLimiter:
         self._lines: dict[str, tuple[int, int]] = {}
 
     def admit(self, reason: str, now: int) -> str | None:
-        """Return what to append to a line, "" or how many like it were left out before; None: it must not be written.
+        """Return what to append to a line: "" or how many like it were left out; None: it must not be written.
 
-        `reason`: One of few, never text that came from outside, because every kind is remembered.
+        `reason`: One of few, never text from outside: every kind is remembered.
         """
         written, left_out = self._lines.get(reason, (now - self._period, 0))
         if now - written < self._period:
@@ -48,10 +45,7 @@ class Pace:
 
 
 class SenderLimits:
-    """A pace for each sender, by any clock [ns]; what is known of a sender is forgotten when nothing of it counts any more.
-
-    While `MOST_SENDERS` are known, no other one may do anything.
-    """
+    """A pace for each of at most `MOST_SENDERS` senders, by any clock [ns]; others wait until one is forgotten."""
 
     def __init__(self, pace: Pace):
         self._most, self._span = pace.most, round(pace.seconds * NANOSECONDS)

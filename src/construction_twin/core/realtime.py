@@ -15,10 +15,9 @@ _awake: list[int] = []
 
 
 def request_realtime(priority: int) -> str:
-    """Ask for SCHED_FIFO at `priority` for every thread of this process; threads and programs started later inherit it.
+    """Ask for SCHED_FIFO for every thread of this process, also later ones; return one sentence for the log.
 
-    With it the processors are asked to stay awake as long as this process lives, or a program that takes its place: an idle one
-    that has to wake up first answers late, in a virtual machine by milliseconds. Returns one sentence for the log.
+    The processors are asked to stay awake as well: one that has to wake up answers late, in a virtual machine by milliseconds.
     """
     if priority == 0:
         return "normal scheduling"
@@ -63,10 +62,10 @@ def lock_memory() -> str:
 
 
 def release_realtime() -> None:
-    """Return every thread of this process to normal scheduling, and let the processors sleep.
+    """Return every thread to normal scheduling, and let the processors sleep.
 
-    For the end of a ROS node: rospy's server threads spin on their closed sockets until the interpreter is gone, and at a real-time
-    priority they would keep the processors to themselves.
+    At the end of a ROS node rospy's server threads spin on their closed sockets: at a real-time priority they would block a
+    processor.
     """
     _let_sleep()
     if not hasattr(os, "sched_setscheduler"):

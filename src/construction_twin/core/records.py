@@ -1,7 +1,7 @@
-"""A frozen dataclass as plain JSON: one converter for all that travels as text. Standard library only.
+"""A frozen dataclass as plain JSON.
 
-Keys are the fields' names, in their order; an enumeration is its name, a number that is nan or infinite null. What is written as
-seconds of whole ns, or only where there is a value, `seconds_field` and `optional_field` say.
+Keys are the fields' names; an enumeration is its name, a number that is nan or infinite null; see also `seconds_field` and
+`optional_field`.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""What gate, bridge, tool, executor and work report: one record per message, for every folder that shows or acts on it.
+"""What gate, bridge, tool, executor and work report: one record per message.
 
-Each field has the name that it has in the ROS message, which says what it means (``msg/``): `text` is `state` as a word, times are
-whole ns of ROS time, 0 for none, and lists are tuples in the order of the message. Records only: what follows from them is decided
-where it matters. Standard library only.
+Fields are named, and explained, as in ``msg/``: `text` is `state` as a word, times are whole ns of ROS time, 0 for none.
 """
 
 from __future__ import annotations

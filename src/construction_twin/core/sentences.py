@@ -1,7 +1,6 @@
-"""Sentences for people: English, and what another language needs in order to say the same.
+"""Sentences for people: English, with template and values for translation.
 
-A message carries what `templates_of` returns; its receiver reads them with `sentences_of`, and the page translates them by their
-templates (web/locale). Standard library only.
+A message carries what `templates_of` returns; its receiver reads them with `sentences_of`, the page translates (web/locale).
 """
 
 from __future__ import annotations
@@ -38,10 +37,7 @@ SentenceTemplates = Mapping[str, Mapping[str, Any]]
 
 
 class Sentence(str):
-    """A sentence in English, which knows its template and values.
-
-    What is made of it with other text is a plain text; to be said in another language too, it is a value of another sentence.
-    """
+    """A sentence in English with template and values; to be translated inside another one, it is a value of that."""
 
     template: str
     values: Mapping[str, Value]

@@ -1,7 +1,6 @@
-"""Where the files lie that belong to the package and are no modules: ``config``, ``krl``, ``models``, ``msg``, ``urdf``.
+"""Where the package's files are that are no modules: ``config``, ``krl``, ``models``, ``msg``, ``urdf``.
 
-In a checkout that is its root, after ``pip install`` and in a catkin install space ``share/construction_twin``, whatever
-ROS_PACKAGE_PATH says. Standard library only.
+In a checkout its root, after ``pip install`` and in a catkin install space ``share/construction_twin``.
 """
 
 from __future__ import annotations

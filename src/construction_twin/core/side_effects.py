@@ -1,6 +1,6 @@
-"""What runs beside an act that must not fail: a report, a record, a forecast. Standard library only.
+"""What runs beside an act that must not fail: a report, a record, a forecast.
 
-A safety act (stop, stop_plan, pause, halt, reject) is carried out and answered whatever else fails, and never runs here.
+A safety act (stop, stop_plan, pause, halt, reject) is carried out and answered whatever fails here, and never runs here.
 """
 
 from __future__ import annotations

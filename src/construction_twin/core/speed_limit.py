@@ -1,6 +1,6 @@
-"""The largest allowed fraction of the speed: what a source asks for, or the fraction for silence when that source is late.
+"""The largest allowed fraction of the speed, by one source, with a deadline; times in ns on a monotonic clock.
 
-Times are arguments, in ns on a monotonic clock. Not safety rated: it slows down so that less often a safety function must stop.
+Not safety rated: it slows down so that less often a safety function must stop.
 """
 
 from __future__ import annotations
@@ -22,15 +22,11 @@ class LimitState(Enum):
 
 
 class SpeedLimit:
-    """One source's limit, with a deadline: a source that falls silent is taken to ask for less, never for more.
-
-    Args:
-        deadline: A source that was received once must be received again within this time [s].
-        silent: Fraction of the speed while it is not; or the last limit, where that was lower.
+    """One source's limit, with a deadline [s]: silence asks for `silent`, or less where its last limit was lower.
 
     Attributes:
-        name, fraction: Who was received last, and what it asked for; "" and 1 before the first time.
-        state, limit, reason: As of the last `update`: why, what is allowed, and one sentence for the operator.
+        name, fraction: The last source and its limit; "" and 1 before the first.
+        state, limit, reason: As of the last `update`.
     """
 
     def __init__(self, deadline: float, silent: float = 0.0, required: bool = False):
@@ -47,8 +43,8 @@ class SpeedLimit:
     def accept(self, fraction: float, name: str, now: int, words: str = "", sentence: str = "") -> None:
         """Check and store what a source asks for, unless another one is fresh: two in turns would change the speed all the time.
 
-        `words` say why; `sentence` stands in place of one made of them, where the source says whose limit it passes on. After a
-        PayloadError (``speed_limit``, ``speed_limit_source``) nothing has changed, and the deadline runs on.
+        `words` say why; `sentence` replaces the one made of them. PayloadError (``speed_limit``, ``speed_limit_source``): nothing
+        changed.
         """
         # written so that a nan does not pass
         if not 0.0 <= fraction <= 1.0:

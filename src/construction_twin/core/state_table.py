@@ -1,7 +1,6 @@
 """A state machine as one table of state, event, guard, action and next state.
 
-These are Enums of the machine's own, whose values are the words of the documentation: "" for the guard that always holds and for
-the action that does nothing.
+Each is an Enum of the machine; the value "" is the guard that always holds, and the action that does nothing.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
-"""How long messages travel. Standard library only.
+"""How long messages travel, from stamps and times of reception on two clocks [ns].
 
-Stamps and times of reception are on two clocks that are never compared [ns]; only their difference is, with its own smallest value
-(docs/architecture.md, "Three clocks, never compared with each other").
+Only their difference is used, compared with its own smallest value.
 """
 
 from __future__ import annotations
@@ -13,8 +12,8 @@ MAX_DRIFT = 100e-6
 class TravelTime:
     """By how much the members of one stream travel longer than the quickest one.
 
-    A member that waited in a queue has a large excess. The smallest difference between reception and stamp is the reference;
-    it grows by `MAX_DRIFT`, so that it follows clocks that drift apart.
+    The smallest difference between reception and stamp is the reference; it grows by `MAX_DRIFT`, to follow clocks that drift
+    apart.
     """
 
     def __init__(self):
@@ -26,9 +25,9 @@ class TravelTime:
         self._at = 0
 
     def excess(self, stamp: int, received: int) -> int:
-        """Return by how much longer than the quickest one a member has travelled, without taking it as a reference.
+        """Return the excess of a stamp on the sender's clock, received on a monotonic one [ns], without taking it as a reference.
 
-        `stamp` is on the sender's clock, `received` on a monotonic one [ns]. Negative: quicker than all before it; 0: the first.
+        Negative: quicker than all before it; 0: the first.
         """
         if self._shortest is None:
             return 0

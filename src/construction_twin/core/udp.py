@@ -57,10 +57,9 @@ def address_of(host: str, option: str) -> str:
 
 
 def receive(sock: socket.socket) -> tuple[bytes, int, tuple]:
-    """Read one datagram: its data, when it arrived on the wall clock [ns], and its sender's address and port.
+    """Read one datagram: data (too long: just enough to be refused), arrival on the wall clock [ns], sender.
 
-    Of data longer than `MAX_TELEGRAM` so much that it is refused. The time is that of reading where the system does not tell.
-    BlockingIOError: there is none; another OSError is what the system reports instead, e.g. "port unreachable" for a reply.
+    BlockingIOError: there is none; another OSError is what the system reports, e.g. "port unreachable" for a reply.
     """
     if not hasattr(sock, "recvmsg"):  # Windows
         data, source = sock.recvfrom(_LARGEST_DATAGRAM)

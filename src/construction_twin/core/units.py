@@ -1,7 +1,4 @@
-"""Conversions used at the borders: the wire and the RSI codecs. Inside the package everything is SI.
-
-Standard library only: the gateway on the cell PC imports it.
-"""
+"""Conversions at the borders: the wire and the RSI codecs. Inside the package everything is SI."""
 
 from __future__ import annotations
 
@@ -75,10 +72,10 @@ def last_digit(decimals: int, linear: bool = False) -> float:
 
 
 def format_allowance(decimals: int, linear: bool = False, cycle: float = CYCLE) -> float:
-    """Return what rounding to `decimals` can add to an acceleration measured per cycle.
+    """Return what rounding to `decimals` can add to an acceleration measured per cycle (law 3).
 
-    Second differences of values rounded to 10^-d deg carry up to 2 * 10^-d deg of rounding (docs/architecture.md, law 3):
-    125 deg/s^2 at 3 decimals, 0.125 at 6; likewise 125 mm/s^2 for a prismatic joint. A ninth of it in a cycle of 12 ms.
+    Second differences carry up to 2 * 10^-d deg of rounding: 125 deg/s^2 at 3 decimals, 0.125 at 6; of a prismatic joint mm for
+    deg.
     """
     return 2 * last_digit(decimals, linear) / cycle**2
 

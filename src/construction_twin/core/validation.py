@@ -1,7 +1,4 @@
-"""What is wrong with a document, in one sentence for the person who wrote it: key, value, what is allowed.
-
-pydantic says it; what is added is the key's path, the meaning of a pattern, and the key that was mistyped. Standard library only.
-"""
+"""What is wrong with a document, from a pydantic error: key, value, what is allowed, and the key that was mistyped."""
 
 from __future__ import annotations
 

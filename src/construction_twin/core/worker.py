@@ -1,6 +1,6 @@
 """Processes that work for another one, so that neither a broken file nor a long search holds it up.
 
-They speak pickles over a pipe that nobody else can write to, run behind everything else on the machine, and end with their parent.
+They speak pickles over a private pipe, at a lower priority, and end with their parent.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Worker:
         return answer["result"]
 
     def interrupt(self) -> None:
-        """End the process in the midst of another thread's question, which gets a WorkerError; `close` it before the next one."""
+        """End the process during another thread's question, which gets a WorkerError; `close` it before the next one."""
         process = self._process
         if process is not None:
             process.kill()

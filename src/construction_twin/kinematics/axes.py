@@ -1,7 +1,4 @@
-"""Joint axes as lines in space, with all joints at zero: what the kind of an arm is found from, however its URDF places frames.
-
-Lengths [m], directions are unit vectors, all in the chain's base.
-"""
+"""Joint axes as lines in space, with all joints at zero, in the chain's base [m]: what the kind of an arm is found from."""
 
 from __future__ import annotations
 

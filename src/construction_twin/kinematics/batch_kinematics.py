@@ -1,8 +1,7 @@
-"""Forward kinematics, Jacobians and Newton steps of many joint vectors at once, as arrays: for ten of them quicker than KDL one by
-one, and a path is checked at thousands of places.
+"""Forward kinematics, Jacobians and Newton steps of many joint vectors at once: from ten on quicker than KDL one by one.
 
-Product of exponentials: every joint turns (or moves) all that follows it about its axis in the zero posture. Poses are
-``base_T_tip`` [m]; joint values [rad], or [m] for a prismatic joint. One posture is `chain`'s.
+Product of exponentials: every joint moves all that follows it about its axis in the zero posture. Poses are ``base_T_tip`` [m];
+joint values [rad], or [m] for a prismatic joint.
 """
 
 from __future__ import annotations
@@ -96,8 +95,7 @@ class BatchKinematics:
     ) -> np.ndarray:
         """Move each joint vector by Newton steps onto its own target pose; neither ranges nor the remaining error are checked.
 
-        An arm with more joints than a pose needs takes the smallest steps, measured in fractions of the joints' full speeds, or of
-        `pace`, shape (n,): 0, and the joint stays.
+        Redundant arms take the smallest steps, in fractions of full speed, or of `pace`, shape (n,): 0, and the joint stays.
         """
         pace = self._pace if pace is None else pace
         for _ in range(steps):

@@ -1,7 +1,4 @@
-"""From the branches of a closed form to solutions: whole turns, ranges, the nearest to a seed, confirmed by KDL.
-
-Branches are joint values of revolute joints [rad], each known up to whole turns; ranges are not considered in them.
-"""
+"""From the branches of a closed form, known up to whole turns, to solutions: ranges, the nearest to a seed, confirmed by KDL."""
 
 from __future__ import annotations
 
@@ -41,8 +38,7 @@ class BranchInverse(InverseKinematics, abc.ABC):
     ) -> tuple[int, float, list[float]] | None:
         """Return which branch is nearest to a seed, its squared distance and its joint values; None: all are out of range.
 
-        Each joint is first moved by the whole turns that bring it nearest to the seed, which is within the ranges. nan in the joint
-        with the narrowest range: there is no such branch.
+        The seed is within the ranges. nan in the joint with the narrowest range: there is no such branch.
         """
         least, nearest = math.inf, None
         # Plain floats in one loop, and the joint with the narrowest range first: most branches fail at the first or second joint,

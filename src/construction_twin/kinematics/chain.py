@@ -1,8 +1,6 @@
 """Forward kinematics and Jacobian of any URDF's serial chain, by KDL.
 
-Poses are ``base_T_tip``: the tip link's pose in the robot's base link [m]; joint values [rad], or [m] for a prismatic joint,
-in the order of ``robot.joint_names``. Knows no tool or workpiece frame beyond the chain, and checks no collisions.
-The inverse, from a pose to joint values, is in `inverse`.
+Poses are ``base_T_tip`` [m]; joint values [rad], or [m] for a prismatic joint, in the order of ``robot.joint_names``.
 """
 
 from __future__ import annotations
@@ -43,13 +41,11 @@ class Pose:
 
 
 class Chain:
-    """The serial chain from ``robot.base_link`` to ``robot.tip_link``.
-
-    Not for use from several threads at once: the solvers work in buffers of their own.
+    """The serial chain from ``robot.base_link`` to ``robot.tip_link``; not for use from several threads at once.
 
     Attributes:
         kdl: For solvers of KDL.
-        reach: Upper bound of the tip's distance from `shoulder` [m]: all link lengths and strokes in one line.
+        reach: Upper bound of the tip's distance from `shoulder` [m].
         arm_length: The same without strokes [m].
         shoulder: Shape (3,). The first revolute joint's origin in the base, with prismatic joints at zero [m].
     """

@@ -1,8 +1,6 @@
 """Inverse kinematics in closed form, for arms of the OPW kind (`opw`): every branch, and exactly the nearest.
 
-The branches come from py_opw_kinematics. This module adds whole turns, ranges and singular poses, and confirms every
-solution by KDL's forward kinematics. A pose without a solution gets its exact reason: too far, too close, or a joint out of
-its range.
+The branches come from py_opw_kinematics. This module adds whole turns, ranges, singular poses, and why there is no solution.
 """
 
 from __future__ import annotations
@@ -67,7 +65,7 @@ class Branches(NamedTuple):
     Attributes:
         q: Shape (m, 8, 6). [rad], order of `SLOTS`; nan where there is no such branch.
         wrist: Shape (m, 8). |sin| of the angle between axes 4 and 6.
-        extension: Shape (m,). Distance of the wrist centre to the edge of the reach [m]; positive inside, negative outside.
+        extension: Shape (m,). Distance of the wrist centre to the edge of the reach [m], positive inside.
     """
 
     q: np.ndarray
@@ -78,9 +76,8 @@ class Branches(NamedTuple):
 class ClosedFormInverse(BranchInverse):
     """Inverse kinematics of an arm of the OPW kind.
 
-    At a singular wrist (axes 4 and 6 in line) joints 4 and 6 each take half of the difference to the seed, which gives the
-    nearest solution. Where the wrist centre is on axis 1, joint 1 is free: of the seed's angle and the angles in steps of 5
-    degrees from it, the nearest solution's is used.
+    At a singular wrist joints 4 and 6 each take half of the difference to the seed: that is nearest. Where the wrist centre is on
+    axis 1, joint 1 is free: the nearest of the seed's angle and every 5 degrees from it is used.
     """
 
     def __init__(self, chain: Chain, model: OpwModel, settings: IkSettings):
@@ -170,8 +167,8 @@ class ClosedFormInverse(BranchInverse):
     def _solve(self, flange: np.ndarray, seed: JointValues) -> list[tuple[np.ndarray, list[float]]]:
         """Return the branches, shape (8, 6), nan where there is none, and |sin| of each branch's wrist angle.
 
-        The first pair belongs to the target itself. Where rounding or a singularity makes branches vanish, further pairs belong
-        to targets moved or rotated by less than the tolerance, for which the branches exist.
+        The first pair is the target's. Where rounding or a singularity makes branches vanish, further pairs are of targets moved or
+        rotated by less than the tolerance.
         """
         q, angles, _ = self.branches(flange)
         wrist = angles[0].tolist()
@@ -211,8 +208,8 @@ class ClosedFormInverse(BranchInverse):
     def _headings(self, flange: np.ndarray, seed: JointValues) -> list[np.ndarray]:
         """Return copies of a target with the wrist centre on axis 1, moved off the axis in the best directions.
 
-        Every angle of joint 1 reaches such a target, because the wrist compensates. The copies face in the seed's direction and,
-        for each shoulder, in the best of evenly spaced directions; each comes once more with the wrist tilted.
+        Every angle of joint 1 reaches it, because the wrist compensates: the copies face in the seed's direction and, for each
+        shoulder, in the best of evenly spaced ones; each comes once more with the wrist tilted.
         """
         model = self.model
         start = model.signs[0] * seed[0] - model.offsets[0]
@@ -260,8 +257,7 @@ class ClosedFormInverse(BranchInverse):
     def _families(self, branch: np.ndarray, pose: Pose, seed: JointValues) -> list[np.ndarray]:
         """Return solutions with axes 4 and 6 in line, one for each choice of whole turns, the nearest to the seed first.
 
-        Joints 4 and 6 are within their ranges but for rounding; of the branch, shape (6,), joints 1 to 3 stay, and joint 5 says
-        whether axes 4 and 6 are parallel or opposed.
+        Of the branch, shape (6,), joints 1 to 3 stay, and joint 5 says whether axes 4 and 6 are parallel or opposed.
         """
         signs, offsets = self.model.signs, self.model.offsets
         theta = np.asarray(signs) * branch - offsets

@@ -1,7 +1,4 @@
-"""Inverse kinematics of any arm behind one interface: in closed form where the arm allows it, by search where not.
-
-Users of solutions import from here; the classes behind are chosen by the arm's geometry.
-"""
+"""Inverse kinematics of any arm behind one interface: in closed form where the arm allows it, by search where not."""
 
 from __future__ import annotations
 
@@ -27,9 +24,8 @@ def inverse_kinematics(
 ) -> InverseKinematics:
     """Return the inverse kinematics that fits an arm; not for use from several threads at once.
 
-    The first that fits: of the OPW kind (`opw`), another closed form (`subproblems`), an arm of the OPW kind on a linear axis
-    (`rail`), the search (`numeric`). Its `kind` says why. A search starts from random points of `rng`, by default of a fixed seed,
-    and keeps its budget by the clock [s].
+    The first that fits: `opw`, `subproblems`, `rail`, `numeric`. A search draws its starting points from `rng`, by default of a
+    fixed seed, and keeps its budget by the clock [s].
     """
     settings = settings or IkSettings()
     rng = rng or np.random.default_rng(0)

@@ -1,8 +1,7 @@
 """Inverse kinematics of any serial chain: KDL's Levenberg-Marquardt solver from many starting points, in a time budget.
 
-The nearest solution it returns is the nearest it found: probably the nearest that exists, but not proven (`benchmarks/ik.py`
-measures how often it is). A solution of an arm with more joints than a pose has degrees of freedom, or of a singular arm, is
-moved along the arm's self-motion towards the seed, within the ranges.
+The nearest solution found is not proven to be the nearest (`benchmarks/ik.py` measures it). One that has freedom left is moved
+along the arm's self-motion towards the seed.
 """
 
 from __future__ import annotations
@@ -225,8 +224,7 @@ class _Search:
     def _solutions(self) -> Iterator[IkSolution]:
         """Yield solutions, one for each starting point that leads to one, while seeds and budget last.
 
-        Nearer solutions than the first are searched only in the first half of the budget: the second half
-        remains for targets of which no solution has been found yet.
+        Nearer ones than the first are searched in the first half of the budget only.
         """
         began = self._inverse._clock()
         budget = self._settings.budget_s

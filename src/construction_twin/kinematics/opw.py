@@ -1,8 +1,7 @@
 """Whether a chain is of the OPW kind (ortho-parallel basis, spherical wrist), and with which parameters.
 
-Found from the joint axes as lines in space, not from names or from how the URDF places its frames. Parameters are those of
-Brandstoetter, Angerer, Hofbaur, "An Analytical Solution of the Inverse Kinematics Problem of Industrial Serial Manipulators
-with an Ortho-parallel Basis and a Spherical Wrist" (2014): the arm stretched upwards along Z is their zero.
+Found from the joint axes as lines in space. Parameters are those of Brandstoetter, Angerer, Hofbaur, "An Analytical Solution of the
+Inverse Kinematics Problem of Industrial Serial Manipulators with an Ortho-parallel Basis and a Spherical Wrist" (2014).
 """
 
 from __future__ import annotations
@@ -35,9 +34,8 @@ class Margins(NamedTuple):
 class OpwModel:
     """A chain in OPW parameters: ``base_T_tip = base_T_opw * opw_T_flange(theta) * flange_T_tip``, theta = signs q - offsets.
 
-    Attributes:
-        base_T_opw, flange_T_tip: Shape (4, 4). The OPW base is on axis 1 level with the base link's origin, Z towards axis 2; the
-            flange on axis 6 level with the tip, Z out of it.
+    The OPW base is on axis 1 level with the base link's origin, Z towards axis 2; the flange on axis 6 level with the tip, Z out of
+    it.
     """
 
     a1: float
@@ -90,11 +88,10 @@ class OpwModel:
 
 
 def find_opw(chain: Chain) -> OpwModel | str:
-    """Decide whether a chain is of the OPW kind.
+    """Return the model of a chain of the OPW kind, or why it is not one: part of a sentence.
 
-    It is one if it has six revolute joints, axes 2 and 3 are parallel and perpendicular to axes 1 and 4, axes 4, 5 and 6 meet
-    in one point, and each of them is perpendicular to the next. Returned is its model, whose forward kinematics agrees with
-    KDL's, or why it is not: part of a sentence.
+    Six revolute joints, axes 2 and 3 parallel and perpendicular to 1 and 4, axes 4, 5 and 6 meeting in one point, each
+    perpendicular to the next.
     """
     if any(chain.robot.linear) or len(chain.robot.linear) != 6:
         revolute = chain.robot.linear.count(False)

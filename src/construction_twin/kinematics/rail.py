@@ -1,9 +1,8 @@
 """Inverse kinematics of an arm of the OPW kind on a linear axis: closed form at many positions of the carriage.
 
-The carriage adds one degree of freedom: its position. Where the wrist centre is in reach is known in closed form. Between those
-ends the arm is solved on a grid, and what lies beside each local minimum of a branch's distance from the seed is divided, again and
-again; also where the branch comes into range, and where its wrist is exactly singular. There, and where the carriage stands now,
-the arm is solved alone. If nothing was found at any position, `numeric` searches.
+Between the ends of the wrist centre's reach the arm is solved on a grid. What lies beside each local minimum of a branch's distance
+from the seed is divided again and again; also where the branch comes into range, and where its wrist is singular. There, and where
+the carriage is now, the arm is solved alone. If nothing was found, `numeric` searches.
 """
 
 from __future__ import annotations
@@ -225,8 +224,7 @@ class RailInverse(InverseKinematics):
     def _edges(self, flange: np.ndarray) -> np.ndarray:
         """Return the positions where the wrist centre is at an edge of a shoulder's reach [m].
 
-        There its distance from axis 2 is the stretched or the folded arm's: with the squared distance from axis 1 less b^2, which
-        is quadratic in the position, that is a quartic.
+        There its distance from axis 2 is the stretched or folded arm's: a quartic in the position.
         """
         model = self._arm.model
         centre = np.array(model.wrist_centre(flange)) - [0.0, 0.0, model.c1]
@@ -337,9 +335,8 @@ def _promising(
 ) -> tuple[np.ndarray, np.ndarray, list[float]]:
     """Return where something nearer may be: row and first column of intervals; and the positions where the wrist is singular.
 
-    Args:
-        nearest: Shape (r,). Squared distance of the best of each row's branch.
-        coarse: Between two positions a branch may come nearer where it comes into range or moves fast, too.
+    `nearest`, shape (r,): squared distance of the best of each row's branch. `coarse`: a branch may also come nearer between two
+    positions where it comes into range or moves fast.
     """
     chosen = _either(_minima(rank))
     if coarse:

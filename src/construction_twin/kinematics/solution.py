@@ -18,12 +18,7 @@ from construction_twin.robot.motion_errors import JointRangeError, KinematicsErr
 
 
 class UnreachableError(KinematicsError):
-    """The target lies outside of what the arm reaches, whatever its joint ranges.
-
-    Attributes:
-        missing: How far the target has to move, at least [m], > 0.
-        too_close: Too close to the arm's base to fold the arm to it, not too far away.
-    """
+    """The target is outside of what the arm reaches, whatever its ranges: it has to move by `missing`, at least [m]."""
 
     def __init__(self, missing: float, too_close: bool = False):
         self.missing, self.too_close = missing, too_close
@@ -80,9 +75,7 @@ class UnreachableOrientationError(KinematicsError):
 class NotFoundError(KinematicsError):
     """No joint solution was found in the time given, which does not prove that there is none.
 
-    Attributes:
-        residual_m, residual_rad: Errors of the best attempt within the ranges; inf without any.
-        hint: What the search saw besides: part of a sentence, or "".
+    `residual_m`, `residual_rad`: of the best attempt within the ranges; inf: none. `hint`: part of a sentence, or "".
     """
 
     def __init__(self, tried: int, budget_s: float, residual_m: float, residual_rad: float, hint: str = ""):
@@ -123,16 +116,13 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class Configuration:
-    """One of the up to eight joint configurations with which an arm with a spherical wrist reaches a pose.
-
-    A field that is None leaves that choice open.
+    """One of the up to eight configurations with which an arm with a spherical wrist reaches a pose; None: either.
 
     Attributes:
-        shoulder: ``front``: the wrist centre lies on the side of axis 1 on which axis 2 is (on which the upper arm's plane begins,
-            where both axes meet); ``back``: the arm reaches over its own shoulder to the other side.
-        elbow: ``up`` or ``down``: on which side of the line from axis 2 to the wrist centre the elbow lies, seen with the wrist
-            centre in front as `shoulder` defines it: above the line, or below it.
-        wrist: ``positive`` or ``negative``: sign of joint 5, counted in its own sense from where axes 4 and 6 are in line.
+        shoulder: ``front``: the wrist centre is on axis 2's side of axis 1 (where both meet, on that of the upper arm's plane);
+            ``back``: the arm reaches over its own shoulder.
+        elbow: ``up`` or ``down``: above or below the line from axis 2 to the wrist centre, seen with that in front.
+        wrist: ``positive`` or ``negative``: sign of joint 5, from where axes 4 and 6 are in line.
     """
 
     shoulder: str | None = None
@@ -162,14 +152,13 @@ class Configuration:
 
 @dataclass(frozen=True)
 class IkSettings:
-    """How inverse kinematics searches. All settings except the tolerances apply only to arms without a closed form.
+    """How inverse kinematics searches; of arms with a closed form only the tolerances apply.
 
     Attributes:
-        seeds: Most starting points tried: the given seed, home, then random ones.
-        iterations: Most steps of the solver from one starting point.
-        tolerance_m, tolerance_rad: Largest distance and angle between a solution's forward kinematics and the target.
-        budget_s: Time for one target [s]. The first starting point is always tried.
-        patience: `nearest` ends its search after this many solved starting points that brought nothing nearer.
+        seeds: Most starting points: the given seed, home, then random ones.
+        iterations: Most steps from one starting point.
+        budget_s: Time for one target [s]; the first starting point is always tried.
+        patience: `nearest` ends after this many solved starting points that brought nothing nearer.
     """
 
     seeds: int = 400
@@ -182,12 +171,7 @@ class IkSettings:
 
 @dataclass(frozen=True, eq=False)
 class IkSolution:
-    """Joint values within the ranges, confirmed by KDL's forward kinematics.
-
-    Attributes:
-        residual_m, residual_rad: Distance of their forward kinematics from the target.
-        distance: Euclidean distance from the seed, over all joints [rad and m alike].
-    """
+    """Joint values within the ranges, confirmed by KDL's forward kinematics; `distance` from the seed over all joints [rad, m]."""
 
     q: np.ndarray
     residual_m: float
@@ -216,9 +200,7 @@ class Ranges:
     def into_range(self, q: np.ndarray, seed: np.ndarray, slack: float) -> np.ndarray:
         """Return joint values, shape (..., n), with the turns nearest to a seed that are within the ranges, or else nearest to it.
 
-        Args:
-            seed: Shape (n,). Within the ranges: so besides the nearest turn only the next one towards the range can be in it.
-            slack: Out of range by no more than this counts as within.
+        The seed, shape (n,), is within the ranges; out of range by no more than `slack` counts as within.
         """
         q = q - self.turns * np.rint((q - seed) * (1.0 / TURN))
         q = np.where((q > self.upper + slack) & (q - self.turns >= self.lower - slack), q - self.turns, q)
@@ -257,26 +239,18 @@ class InverseKinematics(abc.ABC):
 
     @abc.abstractmethod
     def nearest(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> IkSolution:
-        """Return the solution nearest to a seed.
+        """Return the solution nearest to a seed within the ranges, normally the arm's pose; KinematicsError: why there is none.
 
-        In closed form it is the nearest solution; with a linear axis it is the nearest as far as joints move smoothly between the
-        positions of its division. By search it is the nearest solution found: probably the nearest that exists, but this is not
-        proven, and `all` may find a nearer one.
-
-        Distances are Euclidean over all joints, whole turns included. Every error is a KinematicsError that says why there is none.
-
-        Args:
-            pose: Target ``base_T_tip``.
-            seed: Length n. Joint values within the ranges [rad] or [m]: normally the arm's present pose.
+        Distances are Euclidean over all joints, whole turns included. With a linear axis it is the nearest as far as joints move
+        smoothly between the positions of its division, by search the nearest found: `all` may find a nearer one.
         """
 
     @abc.abstractmethod
     def all(self, pose: Pose, seed: JointValues, configuration: Configuration | None = None) -> list[IkSolution]:
-        """Return every solution within the ranges, whole turns of each joint included.
+        """Return every solution within the ranges, whole turns of each joint included, nearest first.
 
-        Where a pose leaves joints free (a singular pose, or an arm with more than six joints), the list holds one solution of
-        each continuous family for every choice of whole turns: the one nearest to the seed. For an arm with more than six joints,
-        it also holds some that are spaced along the families, for whoever cannot use the nearest. Nearest first.
+        Where a pose leaves joints free, each continuous family is represented by the one nearest to the seed for every choice of
+        turns; for an arm with more than six joints also by some spaced along it.
         """
 
     def configuration(self, q: JointValues) -> Configuration | None:

@@ -1,16 +1,9 @@
-"""Inverse kinematics of six revolute axes that have a closed form: every branch, and exactly the nearest.
+"""Inverse kinematics of six revolute axes that have a closed form, some being parallel or meeting in a point (`KINDS`).
 
-Six revolute axes have a closed form if some of them are parallel or meet in one point (`KINDS`). The package EAIK (Ostermeier,
-"Automatic geometric decomposition for analytical inverse kinematics", 2024) then splits a pose into geometric subproblems, each
-of which has a formula. This module adds whole turns and ranges, and confirms every solution by KDL's forward kinematics. Two cases
-go further:
-
-- **An arm near a closed form.** EAIK wants these properties to the last digits, which no measured arm has. An arm that misses them
-  by little is solved for a nominal model in which they hold; Newton steps on the true chain remove what that misses.
-- **At a singular pose** in which joints turn against each other without moving the tip, the closed form is not defined.
-
-There, and where a branch of a nominal model leads to no solution, the search (`numeric`) answers as well: it slides along the
-motion that is free towards the seed. Lengths [m], angles [rad].
+The package EAIK (Ostermeier, "Automatic geometric decomposition for analytical inverse kinematics", 2024) splits a pose into
+geometric subproblems. It wants these properties to the last digits: a measured arm is solved for a nominal model in which they
+hold, and Newton steps on the true chain remove what that misses. Where they lead to no solution, and at a singular pose with joints
+that turn against each other, the search (`numeric`) answers as well. Lengths [m], angles [rad].
 """
 
 from __future__ import annotations
@@ -96,8 +89,7 @@ class ClosedForm:
     Attributes:
         properties: Why it has one, as part of a sentence.
         off_m, off_rad: By how much the true axes miss them.
-        directions, points: Shape (6, 3). Of the model's axes, in the base.
-        tip: ``base_T_tip`` with all joints at zero.
+        directions, points: Shape (6, 3). Of the axes in the base, with all joints at zero, as is `tip`.
     """
 
     properties: str
@@ -280,8 +272,7 @@ class SubproblemInverse(BranchInverse):
     ) -> list[IkSolution]:
         """Add what the search finds where the branches may not be all; if there is nothing, raise the error that says why.
 
-        A nominal model proves nothing about the true arm: near the edge of its reach it has no branch, only a nearest miss, from
-        which the steps need not lead to the branch that the true arm has there.
+        A nominal model proves nothing about the true arm: near the edge of its reach it may have no branch where that has one.
         """
         if not complete or not (found or self.form.exact):
             try:

@@ -1,8 +1,7 @@
-"""One robot: joints, limits, home pose and how its joints appear on the wire and in RSI.
+"""One robot: joints, limits, home pose and its joints on the wire and in RSI.
 
-Geometry, ranges and speeds come from the URDF; what a URDF cannot carry (acceleration and jerk limits, home pose, axis
-mapping) from one YAML file, whose keys carry their unit: deg for revolute joints, mm for prismatic ones. Inside,
-everything is SI: rad, or m where `RobotModel.linear` is True. Kinematics is in `kinematics`.
+From the URDF, and from one YAML file, whose keys carry their unit: deg, mm for prismatic joints. Inside everything is SI: rad, or m
+where `RobotModel.linear` is True.
 """
 
 from __future__ import annotations
@@ -60,9 +59,8 @@ class OtherJoint:
     """A movable joint of the URDF that is not between base and tip.
 
     Attributes:
-        position: Where it stands [rad], [m]; None for a mimic joint that moves with a joint of the chain.
-        follows: For a mimic joint the joint it names, which may itself follow another; otherwise empty.
-        following: How it moves, where `position` is None.
+        position: Where it stands [rad], [m]; None: it moves with a joint of the chain, as `following` says.
+        follows: The joint that a mimic joint names, or "".
     """
 
     name: str
@@ -89,18 +87,12 @@ class AxisMapping:
 
 @dataclass(frozen=True)
 class RobotModel:
-    """A robot's description. All joint tuples are in the order of `joint_names`, from base to tip.
-
-    The units given are those of a revolute joint; where `linear` is True, the joint is prismatic: read m for rad.
+    """A robot's description; joint tuples in the order of `joint_names`, from base to tip, m for rad where `linear` is True.
 
     Attributes:
-        urdf: The URDF's XML text (already expanded).
-        lower, upper: Length n. Joint range [rad].
-        velocity, acceleration, jerk: Length n. [rad/s], [rad/s^2], [rad/s^3]
-        home: Length n. [rad], within the range.
-        linear: Length n. True: a prismatic joint, whose values are in m, m/s, m/s^2, m/s^3.
-        other_joints: The movable joints outside of the chain, and where they stand.
-        estimates: Which of the robot YAML's values are estimates, some of `ESTIMATES`: a real arm must not move by them.
+        urdf: Expanded XML text.
+        velocity, acceleration, jerk: [rad/s], [rad/s^2], [rad/s^3]
+        estimates: Which values are estimates, some of `ESTIMATES`: a real arm must not move by them.
     """
 
     name: str
@@ -177,8 +169,8 @@ class _RobotDescription(pydantic.BaseModel):
 def load_robot(urdf: str, description: Mapping) -> RobotModel:
     """Build a robot from its URDF text and the mapping of its robot YAML.
 
-    The robot's joints are the movable ones between the YAML's `base_link` and `tip_link`. They must be revolute, prismatic or
-    continuous; one that is continuous in the URDF has its range from the YAML's `range_deg`.
+    Its joints are the movable ones between `base_link` and `tip_link`: revolute, prismatic, or continuous with the YAML's
+    `range_deg`.
     """
     parsed = _validate(_RobotDescription, dict(description), "robot")
     model = parse_urdf(urdf)
@@ -305,8 +297,7 @@ def _check_home(robot: RobotModel) -> None:
 def find_other_joints(model: URDF, chain: Collection[str], positions: Mapping[str, float]) -> tuple[OtherJoint, ...]:
     """Return the movable joints outside of the chain, in the URDF's order.
 
-    They stand where ``other_joints`` of the robot YAML, `positions`, says [rad], [m]; others at zero, or, where their range does
-    not hold it, in its middle; mimic joints follow.
+    They stand at `positions` [rad], [m], else at zero, or in the middle of a range without zero; mimic joints follow.
     """
     others = {joint.name: joint for joint in model.joints if joint.joint_type != "fixed" and joint.name not in chain}
     settable = [name for name, joint in others.items() if joint.mimic is None and joint.joint_type in _UNITS]

@@ -1,7 +1,4 @@
-"""The path that an arm has executed, and where on it a pose lies: for the way back along it.
-
-Joint values in rad or m, a distance is the largest over the joints; times in s from the path's beginning.
-"""
+"""The path that an arm has executed, for the way back; distances are the largest over the joints [rad], [m]."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""Orientations: rotation matrices inside, quaternions towards ROS, KUKA's A, B, C towards RSI.
+"""Orientations: rotation matrices inside, quaternions x, y, z, w towards ROS, KUKA's A, B, C towards RSI.
 
-KUKA's angles turn about Z, then the new Y, then the new X: ``R = Rz(A) Ry(B) Rx(C)`` (docs/rsi.md, section 10).
-Radians, where a name does not say degrees. Quaternions are in ROS order x, y, z, w. scipy has all of this too, and takes a quarter
-of a second to load: every program of a start would wait for it.
+``R = Rz(A) Ry(B) Rx(C)`` (docs/rsi.md, section 10), in rad. scipy has all of this, and takes a quarter of a second to load.
 """
 
 from __future__ import annotations

@@ -13,11 +13,7 @@ from construction_twin.core.units import radians
 
 
 def home_positions(path: str | Path) -> dict[str, float]:
-    """Return the home pose of a robot YAML, and where its other joints stand, by joint name [rad], [m]; the nodes check the file.
-
-    Raises:
-        OSError, yaml.YAMLError, TypeError, KeyError, AttributeError: If it is not a robot YAML.
-    """
+    """Return the positions of a robot YAML's home pose and other joints, by joint name [rad], [m]; the nodes check the file."""
     robot = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     joints = robot["joints"].items()
     home = {

@@ -1,7 +1,4 @@
-"""The robot YAML of an arm that has none yet: what a URDF says, and stated estimates of what it cannot say.
-
-Angles in the YAML in deg, lengths in mm; in the library rad and m.
-"""
+"""The robot YAML of an arm that has none yet: what a URDF says, and stated estimates of what it cannot say."""
 
 from __future__ import annotations
 
@@ -99,8 +96,7 @@ def robot_of_urdf(
 def rsi_axes(linear: Sequence[bool]) -> list[str]:
     """Return the RSI axis of each joint of a chain.
 
-    Prismatic joints before the first revolute one are tracks, external axes; the others are A1 to A6 in the order of the chain, and
-    what is more than six is external, too.
+    Prismatic joints before the first revolute one are tracks, E1 on; the others A1 to A6 in their order, what is more E again.
     """
     tracks = next((index for index, prismatic in enumerate(linear) if not prismatic), 0)
     external = iter(f"E{number}" for number in range(1, _MOST))

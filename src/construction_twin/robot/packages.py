@@ -1,7 +1,4 @@
-"""ROS packages, found as rospack finds them: for ``$(find pkg)`` in a xacro and ``package://`` in a URDF.
-
-That is by the name in package.xml, anywhere below the folders of ROS_PACKAGE_PATH. ROS itself is not needed.
-"""
+"""ROS packages as rospack finds them, by package.xml below ROS_PACKAGE_PATH: for ``$(find pkg)`` and ``package://``."""
 
 from __future__ import annotations
 
@@ -65,10 +62,9 @@ class Packages:
 
 
 def with_mesh_files(urdf: str) -> str:
-    """Return a URDF whose collision meshes are named by absolute paths. Those of visuals stay as they are: rviz finds them itself.
+    """Return a URDF whose collision meshes are named by absolute paths.
 
-    Pinocchio, which reads the result, looks for ``package://`` in folders of the package's name that lie directly in
-    ROS_PACKAGE_PATH, so it misses every package inside of a repository of several.
+    Pinocchio looks for ``package://`` directly in ROS_PACKAGE_PATH only, so it misses every package of a repository of several.
     """
     robot = ElementTree.fromstring(urdf)
     packages = Packages()

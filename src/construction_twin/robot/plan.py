@@ -1,7 +1,4 @@
-"""A plan for review: a trajectory, its origin, and what was measured on it before a reviewer sees it.
-
-SI; joint tuples in the order of the trajectory's `joint_names`; points in the robot's base frame.
-"""
+"""A plan for review: a trajectory, its origin, and what was measured on it; points in the robot's base frame."""
 
 from __future__ import annotations
 
@@ -18,12 +15,10 @@ BY_ACTION = "follow_joint_trajectory from"
 
 @dataclass(frozen=True)
 class Clearance:
-    """Smallest distance between two bodies that must not touch, and when on a trajectory it occurs [s].
+    """Smallest distance between two bodies that must not touch [m], and when on a trajectory it occurs [s].
 
-    Attributes:
-        distance: [m]; negative: the penetration depth. inf: there is nothing to touch.
-        between: A link of the robot first, then a link or an object of the scene; or none.
-        point: Nearest point on the first of them, in the robot's base frame [m].
+    Negative: the penetration depth; inf: nothing to touch. `point` is the nearest one on the first of `between`, a link of the
+    robot.
     """
 
     distance: float
@@ -52,17 +47,15 @@ class PlanReport:
 
 @dataclass(frozen=True)
 class Plan:
-    """A trajectory with its origin, as a reviewer sees it. The constructor refuses a hash that is not that of its content.
+    """A trajectory with its origin, as a reviewer sees it; refuses a hash that is not that of its content.
 
     Attributes:
-        hash: The trajectory's `content_hash`; of a work plan: `segments_hash`.
-        planner: How the path was found: name of an OMPL planner, ``direct``, ``cartesian``, ``waypoints``, ``work``, ``way back``.
+        hash: See `content_hash`.
+        planner: Name of an OMPL planner, ``direct``, ``cartesian``, ``waypoints``, ``work``, ``way back``.
         scene: Hash of the scene it was checked against.
-        asked: When it was asked for: a stop after that voids it.
-        planning_time: Time spent planning and timing [s], without `PlanReport.recheck_time`.
-        retimed: Why the times that were asked for were replaced, as one sentence; empty: they were kept, or there were none.
-        task: Id of the task that a work plan carries out.
-        segments: Of a work plan; empty: the trajectory is one motion in one scene.
+        asked: A stop after this moment voids it.
+        planning_time: Without `PlanReport.recheck_time` [s].
+        retimed: Why its times are not those asked for; "": they are, or there were none.
     """
 
     id: str

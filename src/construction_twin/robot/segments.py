@@ -1,7 +1,6 @@
-"""A plan of several segments: what happens at the end of each, and in which scene each may be executed.
+"""Segments of a plan, one after the other on one trajectory, which rests between them.
 
-The segments lie one after the other on one trajectory, which rests where one ends and the next begins. There the tool is switched
-and the scene changes as planned. Times in seconds from the start of the trajectory.
+At the end of each the tool is switched and the scene changes as planned. Times in s from the start of the trajectory.
 """
 
 from __future__ import annotations
@@ -41,13 +40,11 @@ class Segment:
     """One part of a plan, from rest to rest.
 
     Attributes:
-        name: For people and records: ``carry``, ``set down``.
-        end: Time of its end in the plan's trajectory [s]; of the last segment: the trajectory's duration.
+        end: In the plan's trajectory [s].
         engaged: After a stop inside of it, nothing but the way back along the executed path may be planned.
         requires: What the tool's inputs must read during all of it.
         switches: Fired together at its end.
-        scene: Hash of the scene it was checked in, which must be present while it is executed.
-        scene_after: Hash of the scene after its switches: that of the next segment. The same as `scene` where nothing changes.
+        scene, scene_after: Hash of the scene while it is executed, and after its switches: that of the next segment.
     """
 
     name: str

@@ -1,7 +1,4 @@
-"""A tool at the flange: where its centre point is, what it looks like, what it weighs, its outputs and inputs.
-
-Read from a YAML file, see config/tools/vacuum_frame.yaml. Metres, kilograms, seconds; degrees only in the file's ``rpy_deg``.
-"""
+"""A tool at the flange, from a YAML file (config/tools/vacuum_frame.yaml). Metres, kilograms; degrees only in ``rpy_deg``."""
 
 from __future__ import annotations
 
@@ -53,11 +50,9 @@ class Cups(_Strict):
 
 
 class Output(_Strict):
-    """One output of the tool.
+    """One output of the tool; `on_stop`: what becomes of it when RSI ends or a reply is missed.
 
-    Attributes:
-        on_stop: ``keep`` or ``off``: what becomes of it when RSI ends or a reply is missed.
-        opens: The value that lets go of a workpiece; None: neither does.
+    `opens` is the value that lets go of a workpiece; None: neither does.
     """
 
     on_stop: Literal["keep", "off"]

@@ -1,7 +1,6 @@
 """Timed joint motions: waypoints with position, velocity and acceleration, joined by quintic segments.
 
-Joint vectors are in the order of `Trajectory.joint_names`, SI (rad, rad/s, rad/s^2), times in seconds from the start of
-the motion. Knows no robot limits (`timing` does) and no clock: a time is an argument.
+Joint vectors in the order of `Trajectory.joint_names`, SI; times in s from the start of the motion.
 """
 
 from __future__ import annotations
@@ -17,15 +16,10 @@ from construction_twin.robot.motion_errors import TrajectoryError
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Waypoints of a joint motion; between two of them the motion is the quintic polynomial that meets the state at both.
+    """Waypoints of a joint motion, first at 0 s; between two of them it is the quintic polynomial that meets the state at both.
 
-    Times are held on whole nanoseconds, as in a ROS duration, so that a trajectory and its hash survive a message. The
-    arrays are copied and made read-only.
-
-    Attributes:
-        joint_names: Length n
-        times: Shape (k,). Time of each waypoint from the start [s]: first 0, strictly increasing, at least two.
-        positions, velocities, accelerations: Shape (k, n). [rad], [rad/s], [rad/s^2], all finite
+    Times are whole nanoseconds, as in a ROS duration, so that a trajectory and its hash survive a message; arrays are read-only
+    copies of shape (k,) and (k, n).
     """
 
     joint_names: tuple[str, ...]
@@ -60,11 +54,7 @@ class Trajectory:
         return self._knots[-1]
 
     def sample(self, t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Evaluate the motion at one time.
-
-        Before 0 and after `duration` the motion rests at its first or last position: velocity and acceleration are zero
-        there even if the end waypoints have other values. At exactly 0 and `duration` the waypoints' own values are returned.
-        """
+        """Evaluate the motion at one time; before 0 and after `duration` it rests at its first or last position."""
         knots = self._knots
         if not 0.0 <= t < knots[-1]:
             return self._sample_end(t)
@@ -105,10 +95,7 @@ class Trajectory:
         return q, qd, qdd, qddd
 
     def content_hash(self) -> str:
-        """Return the SHA-256 (hex) over joint names, times, positions, velocities and accelerations.
-
-        Equal exactly when all of these are equal to the last bit; -0.0 and 0.0 differ.
-        """
+        """Return the SHA-256 (hex) over names and all values, to the last bit; -0.0 and 0.0 differ."""
         digest = hashlib.sha256()
         digest.update("\0".join(self.joint_names).encode() + b"\0\0")
         for values in (self.times, self.positions, self.velocities, self.accelerations):

@@ -87,9 +87,8 @@ def expand_xacro(path: str | Path, arguments: Mapping[str, str] | None = None) -
 def _packages_by_rospack() -> Iterator[None]:
     """Answer xacro's questions for ``$(find pkg)`` by rospack.
 
-    xacro 2 has no setting for it: it imports `get_package_share_directory` from ROS 2's `ament_index_python` at each question,
-    and there is no ROS 2 here. A module of that name stands in while a file is expanded; nothing of xacro is changed. A xacro
-    that asks rospack itself, as ROS 1's does, does not notice.
+    xacro 2 imports `get_package_share_directory` from ROS 2's `ament_index_python`, which is not here: a module of that name stands
+    in while a file is expanded. ROS 1's xacro asks rospack itself.
     """
     packages = Packages()
     stand_in = ModuleType(_AMENT, "Answers by rospack, see construction_twin.robot.urdf.")
