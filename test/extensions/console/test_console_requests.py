@@ -24,7 +24,7 @@ from std_srvs.srv import TriggerResponse
 from construction_twin.core.freshness import Moment
 from construction_twin.extensions.console.nodes import endpoint
 from construction_twin.extensions.console.nodes.endpoint import Connection
-from construction_twin.extensions.console.nodes.requests import REPEAT_WINDOW, WAITING, ConsoleRequests
+from construction_twin.extensions.console.nodes.requests import WAITING, ConsoleRequests
 from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
@@ -301,17 +301,3 @@ def test_what_comes_too_soon_is_not_even_read(bench, monkeypatch):
     monkeypatch.setattr(endpoint, "read_document", lambda *_: pytest.fail("it was read"))
     bench.send("hasty", id="8")
     assert bench.refused == ["busy"] and bench.answers[-1]["id"] == "8"
-
-
-def test_the_same_message_twice_makes_one_plan_and_gets_one_answer_twice(bench):
-    """QoS 1 may deliver twice; a second plan would take the first one from under the reviewer."""
-    bench.send()
-    bench.send()
-    bench.desk.queue.run()
-    bench.send()
-    assert len(bench.planner.asked) == 1 and bench.refused == ["repeated"] * 2
-    assert [answer["plan_id"] for answer in bench.answers] == ["p1", "p1"]
-    bench.steady += REPEAT_WINDOW + 0.1
-    bench.send()
-    bench.desk.queue.run()
-    assert len(bench.planner.asked) == 2, "later it is meant"

@@ -1,6 +1,6 @@
-"""The messages that a person must not miss: what the arm stood still for and what people did, with who took note of it.
+"""The messages that a person must not miss, in a file: what the arm stood still for, what people did, who acknowledged it.
 
-Told in their order, kept in a file. Times are in s since 1970, UTC.
+Times are in s since 1970, UTC.
 """
 
 from __future__ import annotations
@@ -47,9 +47,8 @@ class Message:
     Attributes:
         id: Unique at this robot.
         at: When it began [s since 1970].
-        line: What it says, as in the status line.
         until: When it ended [s since 1970]; null while it lasts. An act of a person ends at once.
-        acknowledged_by, acknowledged_at: Who has taken note of it, by account, and when; "" and null: nobody yet.
+        acknowledged_by, acknowledged_at: Account and time; "" and null: nobody yet.
     """
 
     id: str
@@ -64,13 +63,9 @@ _Messages = pydantic.TypeAdapter(tuple[Message, ...])
 
 
 class MessageBoard:
-    """The newest messages, oldest first, for several threads.
+    """The newest messages, oldest first, for several threads; `file` None: only in memory.
 
-    Args:
-        publish: Takes the messages as JSON: at the first look, and after each change.
-        refuse: Takes as what, and why, a file that cannot be read or written is counted.
-        file: Where they are kept; None: only in memory.
-        clock: Returns the time of day [s since 1970].
+    `publish` takes them as JSON after each change, `refuse` kind and cause of a file that fails; `clock` is the time of day [s].
     """
 
     def __init__(
@@ -83,8 +78,8 @@ class MessageBoard:
         self._publish, self._refuse, self._file, self._clock = publish, refuse, file, clock
         # held while it is told: what is retained must not be an older one, told by another thread
         self._lock = threading.Lock()
-        #: The newest message of a lowered speed limit: its id, the change, and what the limit was before the first step of it.
-        self._lowered: tuple[str, SpeedChange, float] | None = None
+        #: A limit that is dragged down: id of its message, and all its steps as one change.
+        self._lowered: tuple[str, SpeedChange | None] = ("", None)
         #: What stands, by what tells it from another: since when, and the id of its message once it is one.
         self._standing: dict[tuple[str, ...], tuple[float, str]] = {}
         #: Another tuple after each change.
@@ -92,7 +87,7 @@ class MessageBoard:
         self._published: tuple[Message, ...] | None = None
 
     def _saved_messages(self) -> tuple[Message, ...]:
-        """Return the messages of the file; those that lasted have ended with the last word of the program before."""
+        """Return the messages of the file; those that lasted end with the newest."""
         try:
             found = _Messages.validate_json(read_file(self._file, MAX_BYTES)) if self._file is not None else ()
         except FileNotFoundError:
@@ -113,7 +108,7 @@ class MessageBoard:
                 self._publish(to_json(self.messages))
 
     def on_lines(self, lines: Sequence[Line]) -> None:
-        """Take the status line as it is now."""
+        """Begin and end messages by the present status line."""
         now, urgent = self._clock(), {_identity(line): line for line in lines if _is_message(line)}
         with self._changing():
             for gone in self._standing.keys() - urgent.keys():
@@ -124,7 +119,7 @@ class MessageBoard:
                     self._standing[key] = since, self._add(line, since)
 
     def on_act(self, act: str, at: float, sentence: str) -> None:
-        """Take what a person did. What is told again is not new."""
+        """Add what a person did, once."""
         with self._changing():
             self._add_act(act, at, sentence)
 
@@ -134,21 +129,19 @@ class MessageBoard:
             self._add(_act(act, sentence), at, until=at)
 
     def on_speed(self, change: SpeedChange) -> None:
-        """Take that a person has set the speed limit of people; what one person drags it down is one message."""
+        """Add a change of people's speed limit; what one person drags it down is one message."""
         at, act = change.stamp / NANOSECONDS, RAISED if change.limit > change.before else LOWERED
         with self._changing():
-            newest = self.messages[-1].id if self.messages else ""
-            dragged, self._lowered = self._lowered, None
-            if act == LOWERED and dragged is not None and dragged[0] == newest and _goes_on(dragged[1], change):
-                self._lowered = newest, change, dragged[2]
-                self._replace(newest, at=at, until=at, line=_act(act, _speed_words(change, dragged[2])))
-                return
-            self._add_act(act, at, _speed_words(change, change.before))
-            if act == LOWERED:
-                self._lowered = self.messages[-1].id, change, change.before
+            id_, last = self._lowered
+            if act == LOWERED and last and id_ == self.messages[-1].id and _goes_on(last, change):
+                change = replace(change, before=last.before)
+                self._replace(id_, at=at, until=at, line=_act(act, _speed_words(change)))
+            else:
+                self._add_act(act, at, _speed_words(change))
+            self._lowered = (self.messages[-1].id, change) if act == LOWERED else ("", None)
 
     def acknowledge(self, id_: str, account: str) -> tuple[bool, Sentence]:
-        """Take that a person has read a message; return whether it is new, and a sentence."""
+        """Acknowledge a message; return success and a sentence."""
         with self._changing():
             found = next((message for message in self.messages if message.id == id_), None)
             if found is None:
@@ -159,7 +152,7 @@ class MessageBoard:
             return True, Sentence("acknowledged by {account}", account=account)
 
     def write(self) -> None:
-        """Write the file where something has changed, for a thread that may wait for a disk."""
+        """Save changes; for a thread that may wait for a disk."""
         with self._lock:
             if self._file is None or self._written is self.messages:
                 return
@@ -189,8 +182,8 @@ def _goes_on(last: SpeedChange, change: SpeedChange) -> bool:
     return last.person == change.person and last.stamp <= change.stamp < last.stamp + DRAGGED * NANOSECONDS
 
 
-def _speed_words(change: SpeedChange, before: float) -> Sentence:
-    values = {"person": change.person, "before": f"{100 * before:.4g}", "percent": f"{100 * change.limit:.4g}"}
+def _speed_words(change: SpeedChange) -> Sentence:
+    values = {"person": change.person, "before": f"{100 * change.before:.4g}", "percent": f"{100 * change.limit:.4g}"}
     if change.limit > change.before:
         return Sentence("{person} raised the speed limit of people from {before}% to {percent}%", **values)
     return Sentence("{person} lowered the speed limit of people from {before}% to {percent}%", **values)

@@ -33,13 +33,13 @@ _BROKER_SILENCE_S = 2.0
 
 @dataclass(frozen=True)
 class PipeLimits:
-    """What one connection may do: a browser's frames and bytes in the long run, and at once.
+    """What one connection may send, in the long run and at once.
 
     Attributes:
-        largest: Longest frame of a browser [bytes].
-        login_s: Longest wait for the broker, and from then on for its answer to the login [s].
-        wrong_s: Delay of the broker's answer to a wrong password [s].
-        ping_s: Time of silence before a ping; a browser that is silent for half of it then is gone [s].
+        largest: Longest frame [bytes].
+        login_s: Longest wait for the broker, and then for its answer to the login [s].
+        wrong_s: Delay of the answer to a wrong password [s].
+        ping_s: Silence before a ping; after half as much again the browser is gone [s].
     """
 
     largest: int = 65536

@@ -31,7 +31,7 @@ _LEFT_OUT = Field(exclude_if=lambda value: value is None)
 
 @dataclass(frozen=True)
 class SwitchView:
-    """What is shown of a switch at the end of a segment; `confirm`: what the tool's inputs must read afterwards; `timeout` [s]."""
+    """A switch at the end of a segment; `confirm`: what the tool's inputs must read within `timeout` [s]."""
 
     output: str
     value: bool
@@ -41,7 +41,7 @@ class SwitchView:
 
 @dataclass(frozen=True)
 class SegmentView:
-    """What is shown of a segment of a work plan, which ends at `end` [s] and at a point of the tool path; the keys of its JSON."""
+    """A segment of a work plan, which ends at `end` [s] and at a point of the tool path."""
 
     name: str
     end: float
@@ -57,11 +57,7 @@ class SegmentView:
 
 @dataclass(frozen=True)
 class ClearanceView:
-    """How close the arm comes to something else: at a `time` of the plan [s], at a `point` in its frame [m].
-
-    Attributes:
-        distance: [m]; inf, which JSON has as null: there is nothing to touch.
-    """
+    """The smallest distance [m], null for nothing to touch: at a `time` of the plan [s] and a `point` in its frame [m]."""
 
     distance: Annotated[float, OR_NULL]
     time: float
@@ -83,11 +79,10 @@ class PlanView:
     """A message on <prefix>/<robot>/plan: the plan under review. SI: m, rad, s.
 
     Attributes:
-        waypoints: How many points the whole tool path has.
+        waypoints: Number of points of the whole tool path.
         tool_path: Of tool0; at the waypoints until `to_json` thins it.
-        clearance: None when it was not measured.
         trajectory: ``times``, and for each ``positions``, ``velocities``, ``accelerations``, which the hash covers; None: too long.
-        tool: Hash of the tool file that counts. A rehearsal with another one is none of this plan.
+        tool: Hash of the tool file, as in the plan's rehearsal.
         task, content, segments: Of a work plan only. `content` is the text whose SHA-256 is its hash.
     """
 
@@ -140,7 +135,7 @@ _PLANS = pydantic.TypeAdapter(PlanView)
 
 
 def shown(text: str) -> str:
-    """Return a text as a reviewer sees it: cut where it is longer than `_MAX_SHOWN`, and ending in ... then."""
+    """Return a text of at most `_MAX_SHOWN` characters, cut with ..."""
     return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "..."
 
 
@@ -158,10 +153,7 @@ def sampled_points(count: int, points: int, required: Sequence[int] = ()) -> lis
 
 
 class PlanBoard:
-    """What `plan` holds on MQTT: the plan under review, or nothing. Payloads are bytes; empty means nothing.
-
-    Messages on ROS may come in any order, and a verdict before the plan it is about.
-    """
+    """What `plan` holds on MQTT; an empty payload: nothing. A verdict may come before its plan."""
 
     def __init__(self):
         self._decided = ""
@@ -170,22 +162,22 @@ class PlanBoard:
 
     @property
     def plan(self) -> str:
-        """Id of the plan that it holds; empty: none."""
+        """Id of the plan; empty: none."""
         return self._plan if self.payload else ""
 
     def on_plan(self, plan_id: str, payload: bytes) -> None:
-        """Take a new plan, in place of the one before."""
+        """Replace the plan."""
         self._plan = plan_id
         self.payload = b"" if plan_id == self._decided else payload
 
     def on_verdict(self, plan_id: str) -> None:
-        """Take that a plan was decided, by whomever."""
+        """Clear a decided plan."""
         self._decided = plan_id
         if plan_id == self._plan:
             self.payload = b""
 
     def restart(self) -> None:
-        """Take the plan away: a new session has made it void."""
+        """Clear the plan (a new session)."""
         self.on_verdict(self._plan)
 
 
@@ -214,9 +206,8 @@ class ObjectView:
 
     Attributes:
         size: As in `SceneObject.msg` [m]; of a mesh its scale.
-        mesh: SHA-256 of the file, because a console does not see this machine's; empty for other shapes.
+        mesh: SHA-256 of the file; empty for other shapes.
         padding: Distance to keep from it [m], added to the scene's own.
-        touch: Links and objects that may touch it.
     """
 
     name: str

@@ -81,7 +81,7 @@ class SyncView:
 
 @dataclass(frozen=True)
 class ControllerView:
-    """What the controller says of itself on its optional channels: "" and null are not sent; null: it sends none of them."""
+    """The controller's optional channels: "" and null are not sent; null: none is."""
 
     mode: str
     program: str
@@ -111,7 +111,7 @@ class LinkView:
 
 @dataclass(frozen=True)
 class SegmentNow:
-    """Where a work plan is, from 0; null: the plan has no segments, or none was entered. At its boundary tool and scene change."""
+    """The segment of a work plan, from 0; null: none was entered. At its boundary tool and scene change."""
 
     number: _Count
     name: str
@@ -120,7 +120,7 @@ class SegmentNow:
 
 @dataclass(frozen=True)
 class HoldView:
-    """Why the gate is closed, until that is mended, since a ROS time [s]; null: it is open, or nothing is known against it."""
+    """Why the gate is closed, since a ROS time [s]; null: it is open, or the cause is unknown."""
 
     cause: str
     since: _Seconds
@@ -128,10 +128,9 @@ class HoldView:
 
 @dataclass(frozen=True)
 class SpeedView:
-    """The speed limit in force and whose it is; fractions of the planned speed. null: nobody has ever set one, or it is not known.
+    """The speed limit in force, a fraction of the planned speed; null: unknown.
 
     Attributes:
-        limit: The lowest of what a program and people have set; it may stand still at 0.
         by: ``people``, ``program``; empty: nobody limits.
         people: The one limit of all people, which `person` set `since` [s], in place of `replaced`.
     """
@@ -214,7 +213,7 @@ class FreshReport(Generic[_Report]):
 
 @dataclass(frozen=True)
 class ViewInputs:
-    """What a view is made of, `plan` the id of the one under review; None: not known, or too old to be shown as the present."""
+    """What a view is made of, `plan` the id of the one under review; None: unknown, or too old."""
 
     twin: PoseView | None = None
     arm: PoseView | None = None
@@ -229,7 +228,7 @@ class ViewInputs:
 
 
 class ViewWriter:
-    """Writes the messages of one run of the program, which `run` names; not for use from several threads."""
+    """Writes the messages of one run of the program, which `run` names; for one thread."""
 
     def __init__(self, robot: str, run: str, joints: Joints):
         self._run = run
@@ -320,17 +319,14 @@ def _segment(shown: FreshReport[ExecutionReport] | None) -> SegmentNow | None:
 
 
 class PlanProgress:
-    """How much of a plan's time is over, from the executor's reports, which tell the rate only when it changes.
-
-    Between two reports the rate is taken to change evenly: exact where the plan is played as planned.
-    """
+    """How much of a plan's time is over, from the executor's reports, which come when the rate changes: evenly between two."""
 
     def __init__(self):
         self._last: ExecutionReport | None = None
         self._elapsed = 0.0
 
     def on_report(self, report: ExecutionReport) -> None:
-        """Take a report; of one plan they come in their order."""
+        """Add a report of the executor."""
         last = self._last
         self._last = report
         if last is None or (last.plan_id, last.plan_start) != (report.plan_id, report.plan_start):

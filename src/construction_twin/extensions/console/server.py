@@ -57,13 +57,13 @@ class ServerSettings:
     """What the server serves, and to whom.
 
     Attributes:
-        page: Folder of the page, for everybody; None: it only pipes.
-        private: Folder of files for who is logged in: robot model, scene, building model.
-        rights: `rights.json` of `make_site`; None: the page does not know who may do what.
+        page: Folder of the page; None: it only pipes.
+        private: Folder of files for who is logged in.
+        rights: `rights.json` of `make_site`.
         origins: Further origins whose pages may connect: ``https://console.cell``.
-        connections, connections_per_peer: Most that are open, TLS handshakes that have not ended included.
+        connections, connections_per_peer: Most that are open, TLS handshakes included.
         ask_s: Longest wait for a request, and for a TLS handshake [s].
-        stall_s, file_stall_s: Who takes nothing of what is shown, or of a file, for so long is cut off [s].
+        stall_s, file_stall_s: Longest time in which a peer takes nothing of the view, or of a file [s].
     """
 
     page: Path | None

@@ -47,10 +47,7 @@ class Servo:
 
 
 class SimulatedArm:
-    """An arm and what stands around it, in motion.
-
-    Args:
-        q: Shape (n,). Where the arm stands at rest [rad], [m].
+    """An arm and what stands around it, in motion from rest at `q`, shape (n,) [rad], [m].
 
     Attributes (of shape (n,), SI):
         needed: Torque that the motion needed in the last step, without the correction.

@@ -46,7 +46,7 @@ class PhysicsModel:
 
     Attributes:
         joints: Shape (n,). Place of each of ``robot.joint_names`` in MuJoCo's arrays.
-        owners: Of each geom: the link or scene object that it belongs to.
+        owners: Link or scene object of each geom.
         loose: Position of each loose body (`Load.loose`) in MuJoCo's arrays of positions: 7 numbers from there.
         inertias, related: Shape (n, n). Where two joints' inertia is in MuJoCo's sparse matrix, and whether it is there.
         unplanned: Shape (geoms, geoms). Which contacts the planner would have refused.

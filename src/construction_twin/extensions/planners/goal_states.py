@@ -1,7 +1,4 @@
-"""The state machine of the action `follow_joint_trajectory`: states, events, guards and actions, and what follows from what.
-
-Pure. What causes an event, and how guards and actions are carried out, is in `trajectory_goals`; the table only says what follows.
-"""
+"""The state machine of the action `follow_joint_trajectory`, as a table. Pure; events and actions are in `trajectory_goals`."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ from construction_twin.core import state_table
 
 
 class GoalState(Enum):
-    """What becomes of a goal; values are the words of the documentation."""
+    """State of a goal."""
 
     FREE = "FREE"
     PLANNING = "PLANNING"
@@ -25,7 +22,7 @@ class GoalState(Enum):
 
 
 class GoalEvent(Enum):
-    """What can happen to a goal."""
+    """Event of a goal."""
 
     GOAL = "goal"
     CANCEL = "cancel"
@@ -42,14 +39,14 @@ class GoalEvent(Enum):
 
 
 class Guard(Enum):
-    """What must be true for a row of the table to count; values are the words of the documentation."""
+    """Condition of a row, in words."""
 
     ALWAYS = ""
     BUSY = "the executor follows a plan that is of no goal of this action"
 
 
 class Action(Enum):
-    """What is done before the next state is entered; values are the words of the documentation."""
+    """What is done before the next state is entered, in words."""
 
     NOTHING = ""
     REQUEST_PLAN = "the planner is asked for a plan"

@@ -1,7 +1,7 @@
 """Goals of other planners: from a trajectory to a plan under review, an execution and a result. Pure.
 
-One goal has the arm at a time. `TrajectoryGoals` takes what happens and says, as a list of effects, what has to be done: the node
-around it talks to planner, executor and clients. Times are on the monotonic clock [ns].
+One goal has the arm at a time. `TrajectoryGoals` turns events into effects, which the node carries out. Times are on the monotonic
+clock [ns].
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Ending(Enum):
 
 @dataclass(frozen=True)
 class TrajectoryGoal:
-    """A goal that names the robot's joints; whether its motion is possible is the planner's to say.
+    """A goal with the robot's joints.
 
     Attributes:
         client: Name of the node that sent it: an address, not a proof.
@@ -128,10 +128,7 @@ Effect = RequestPlan | Withdraw | Brake | Accept | Status | End
 
 @dataclass(frozen=True)
 class GoalPlan:
-    """The plan of a goal, as the planner answered: id, hash and duration [s].
-
-    `asked` is the duration that was asked for [s], 0 for none; `retimed` why the times were replaced, empty where they were kept.
-    """
+    """The plan of a goal; `asked`: the requested duration [s], 0 for none; `retimed`: why the times were replaced."""
 
     id: str
     hash: str
@@ -160,7 +157,7 @@ _FAILURES = {
 
 
 class TrajectoryGoals:
-    """Takes goals, one at a time, and says what has to be done about them; `plan` is of the goal that has the arm."""
+    """The goals of all clients; `plan` is of the goal that has the arm."""
 
     def __init__(self, robot: RobotModel, reviewed_by: str):
         self._robot = robot
@@ -199,7 +196,7 @@ class TrajectoryGoals:
     # -- what clients ask
 
     def on_goal(self, goal: TrajectoryGoal, now: int) -> None:
-        """Take a goal; while another one has the arm it is turned away, takes the plan over, or cancels that one and waits."""
+        """Begin a goal; while another one has the arm it is rejected, takes the plan over, or cancels that one and waits."""
         if self.state is GoalState.FREE:
             self._arriving = goal
             self._on(GoalEvent.GOAL, now)
@@ -219,7 +216,7 @@ class TrajectoryGoals:
             self._on(GoalEvent.CANCEL, now)
 
     def on_stand_still(self, goal: TrajectoryGoal, now: int) -> None:
-        """Take a goal without points: it cancels what the same client has asked for, and is done."""
+        """Cancel the goals of a client that sends one without points."""
         ours = [each for each in (self.goal, self._next) if each is not None and each.client == goal.client]
         if not ours:
             sentence = Sentence(
@@ -234,7 +231,7 @@ class TrajectoryGoals:
         self._effects.append(End(goal.id, Ending.SUCCEEDED, ResultCode.SUCCESSFUL, sentence))
 
     def on_cancel(self, goal_id: str, now: int) -> None:
-        """Take a request to cancel a goal; one that has ended is left alone."""
+        """Cancel a goal that has not ended."""
         if self._next is not None and self._next.id == goal_id:
             sentence = Sentence("cancelled before it was planned")
             self._end(self._next, Ending.CANCELED, ResultCode.GOAL_TOLERANCE_VIOLATED, sentence)
@@ -247,7 +244,7 @@ class TrajectoryGoals:
     # -- what the planner answers
 
     def on_planned(self, plan: GoalPlan, now: int) -> None:
-        """Take the plan that was made of the goal; it is under review."""
+        """Store the plan of the goal, which is under review."""
         self.plan = plan
         self._on(GoalEvent.PLANNED, now)
         # verdict and execution travel on connections of their own and may have been faster
@@ -257,13 +254,13 @@ class TrajectoryGoals:
             self._follow_execution(now)
 
     def on_not_planned(self, sentence: str, now: int) -> None:
-        """Take the planner's refusal, or that it did not answer."""
+        """End a goal that has no plan."""
         self._on(GoalEvent.NOT_PLANNED, now, sentence)
 
     # -- what the executor says
 
     def on_verdict(self, plan_id: str, approved: bool, reviewer: str, reason: str, now: int) -> None:
-        """Take a verdict on a plan; an approval counts when the executor begins."""
+        """Handle a verdict; an approval counts when the executor begins."""
         if approved:
             if self.plan is not None and plan_id == self.plan.id and self.state is GoalState.REVIEW:
                 self._send_status(Sentence("plan {plan} was approved by {reviewer}", plan=plan_id, reviewer=reviewer))
@@ -280,7 +277,7 @@ class TrajectoryGoals:
             self._on(GoalEvent.TURNED_DOWN, now, sentence)
 
     def on_execution(self, plan_id: str, state: ExecutorState, outcome: str, reason: str, start: int, now: int) -> None:
-        """Take what the executor does, with the plan that it plays or played last, and the stamp at which that began [ns]."""
+        """Handle the executor's report of the newest plan, which began at a stamp [ns]."""
         before, self._report = self._report, _PlanReport(plan_id, state, outcome, reason, start)
         if self.plan is None:
             return
@@ -294,13 +291,13 @@ class TrajectoryGoals:
             self._on(GoalEvent.LOST, now, lost)
 
     def on_call_failed(self, now: int) -> None:
-        """Take that a call of `stop_plan` or `review_plan` did nothing: it is made again, while it is still needed."""
+        """Schedule a failed call of `stop_plan` or `review_plan` again."""
         self._retry_at = now + RETRY
 
     # -- what time and poses bring
 
     def tick(self, now: int, sample: Sample | None, at_rest: bool, settled: bool) -> None:
-        """Take the time, the newest sample, and whether the twin, and then the arm, is at rest."""
+        """Handle the time and the newest sample; `at_rest`: the twin, `settled`: then the arm."""
         if self._retry_at and now >= self._retry_at:
             self._retry_at = 0
             self._repeat()

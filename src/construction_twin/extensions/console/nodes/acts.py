@@ -54,13 +54,7 @@ _PROGRAMS = {requests.EXECUTOR: EXECUTOR, requests.BRIDGE: BRIDGE}
 
 @dataclass(frozen=True)
 class Services:
-    """Who carries it out.
-
-    Attributes:
-        approve, reject: The executor's `review_plan`; a rejection may come twice, and asks no master.
-        pressed: An `ActAsSeen` by verb; one that starts nothing may be called twice.
-        limit_speed: May be called twice.
-    """
+    """Services that carry it out; `pressed` by verb. What starts nothing has an open connection, and may be called twice."""
 
     approve: rospy.ServiceProxy
     reject: rospy.ServiceProxy
@@ -70,11 +64,9 @@ class Services:
 
 
 class Acts:
-    """What carries out what people do.
+    """Handlers of what people do, each kind with a queue and a thread.
 
-    Attributes:
-        queues: By name, a thread for each: a rejection never waits behind an approval, whose record may wait for a disk, nor what
-            lowers the speed limit behind what raises it.
+    A rejection never waits behind an approval, whose record may wait for a disk, nor lowering the speed limit behind raising it.
     """
 
     def __init__(self, connection: Connection, services: Services):
@@ -95,12 +87,12 @@ class Acts:
         serve(RAISE_SPEED, RaiseSpeed, self._set_speed, self.queues[RAISE_SPEED.name])
 
     def start(self) -> None:
-        """Begin to carry out what waits, each kind in a thread of its own."""
+        """Start the threads."""
         for name, queue in self.queues.items():
             threading.Thread(target=_run_queue, args=(queue,), name=name, daemon=True).start()
 
     def run_connections(self) -> None:
-        """Connect to what may be called twice until shutdown: a master that dies later keeps no stop back."""
+        """Keep the connections open until shutdown: a master that dies later delays no stop."""
         services = (*self._services.pressed.values(), self._services.reject, self._services.limit_speed)
         while not rospy.is_shutdown():
             for service in services:

@@ -51,11 +51,7 @@ COLLECTED = 500_000
 
 
 class Settings(MqttSettings):
-    """Private parameters; see config/console_node.yaml. Folders are relative to ROS_HOME, empty: none.
-
-    Attributes:
-        private: Folder of what a console serves to whom is logged in.
-    """
+    """Private parameters; see config/console_node.yaml. Folders are relative to ROS_HOME, empty: none."""
 
     trajectories: bool = True
     private: str = ""

@@ -6,7 +6,6 @@ and answered next; counts and log lines come after that, hold up nothing, and ca
 
 from __future__ import annotations
 
-import hashlib
 import math
 import queue
 import threading
@@ -45,13 +44,8 @@ REPEATED = "repeated"
 class Connection:
     """A connection of the node to the broker, served by a thread of its own; requests are heard and answered by it.
 
-    Args:
-        refuse: Counts a refused input; takes reason and sentence.
-
-    Attributes:
-        counts: What became of requests, by the name of their kind and a word.
-        side_effects: What ran beside a request, and failed: it fails neither the request nor the node, which may have a stop to
-            carry out.
+    `refuse` counts a refused input, by reason and sentence. What fails of `side_effects` fails neither the request nor the node,
+    which may have a stop to carry out.
     """
 
     def __init__(self, broker: Broker, client: FastClient, topics: Topics, refuse: Callable[[str, str], None]):
@@ -61,7 +55,6 @@ class Connection:
         self.counts: Counter[str] = Counter()
         self._counting = threading.Lock()
         self.side_effects, self.log = SideEffects(), DeferredLog()
-        #: Takes a part's name, the part and its arguments; returns what the part returns, or None where it failed.
         self.run_side_effect = self.side_effects.run
 
     def serve(self, kind: RequestKind, read: Reader, act: Handler, queue: RequestQueue | None = None) -> None:
@@ -95,7 +88,7 @@ class Connection:
         return self._broker.account is not None
 
     def publish(self, topic: str, payload: bytes, qos: int = 1, retain: bool = False) -> None:
-        """Publish where there is a connection; what could be sent later only would be of the past."""
+        """Publish now, or never: later it would be of the past."""
         if self._client.is_connected():
             self._client.publish(topic, payload, qos=qos, retain=retain)
 
@@ -109,25 +102,19 @@ class Connection:
             self.counts[f"{kind.name} {word}"] += 1
 
     def write_log(self) -> None:
-        """Write what is to be said, and what has failed; for a thread that may wait for a disk or a terminal."""
+        """Flush the log queue; for a thread that may wait for a disk or a terminal."""
         self.run_side_effect("the log", self.log.flush)
         self.side_effects.write(rospy.logerr)
 
     def status_fields(self) -> dict[str, object]:
-        """Return what became of requests, and what has failed beside them, for `/diagnostics`."""
+        """Return the counters for `/diagnostics`."""
         with self._counting:
             return dict(sorted(self.counts.items())) | self.side_effects.status_fields()
 
 
 @dataclass
 class Endpoint:
-    """What takes the messages of one kind of request.
-
-    Attributes:
-        read: Model of its message, or what takes the message's JSON object and returns what is asked for; PayloadError.
-        act: Does what is asked for; may raise PayloadError, which is refused and counted then, and ServiceSilentError.
-        queue: Where it waits. None: it is carried out where it arrives.
-    """
+    """One kind of request: its reading, its handler and its queue; without a queue it is carried out where it arrives."""
 
     connection: Connection
     kind: RequestKind
@@ -138,11 +125,11 @@ class Endpoint:
 
     @property
     def topic(self) -> str:
-        """Where the messages come in."""
+        """Topic of the requests."""
         return self.connection.topics.of(self.kind)
 
     def on_message(self, message: MQTTMessage) -> None:
-        """Take a message from the connection's thread."""
+        """Read and queue a message (connection's thread)."""
         incoming = IncomingRequest(self, "", bytes(message.payload), message.retain)
         if self.topic.endswith("/+"):
             try:
@@ -173,24 +160,19 @@ class IncomingRequest:
         self.asked: Any = None
 
     @cached_property
-    def digest(self) -> bytes:
-        """What tells it from another one: the same bytes of the same sender are the same request, sent twice."""
-        return hashlib.sha256(b"\0".join((self.kind.name.encode(), self.account.encode(), self._payload))).digest()
-
-    @cached_property
     def identity(self) -> dict[str, str]:
-        """What an answer repeats of it, also when it is refused, with its account."""
+        """Texts that the answer repeats, with the account."""
         named = dict.fromkeys(("account", "sender", "reviewer"), self.account) if self.account else {}
         return identity_of(self._payload, self._document, max(MAX_IDENTITY_BYTES, self.kind.limit)) | named
 
     def read(self) -> None:
-        """Read what is asked for; PayloadError as of `link.requests`."""
+        """Parse the payload into `asked`."""
         kind, how = self.kind, self._endpoint.read
         self._document = read_document(self._payload, self._retained, kind.name, kind.limit, kind.limited_by)
         self.asked = read(how, self._document, kind.name) if isinstance(how, type) else how(self._document)
 
-    def carry_out(self) -> bytes:
-        """Do it, and answer; return the answer, empty where there is none."""
+    def carry_out(self) -> None:
+        """Do it, and answer."""
         refused = None
         try:
             if self.kind.expires and (problem := staleness(self.asked.moment, present_moment())):
@@ -200,17 +182,15 @@ class IncomingRequest:
             outcome = Outcome(False, str(error))
         except PayloadError as error:
             refused, outcome = error, Outcome(False, str(error), error.reason == TOO_OLD)
-        answer = b""
         if refused is None or refused.reason != REPEATED:
-            answer = self._answer(outcome)
+            self._answer(outcome)
             self.count("taken" if outcome.success else "not taken")
         if refused is not None:
             self.count_refusal(refused.reason, str(refused))
         self._connection.run_side_effect("the log", self._log, outcome.message)
-        return answer
 
     def refuse_unread(self, error: PayloadError) -> None:
-        """Answer that it cannot be read, or is not, at a pace, and count it."""
+        """Refuse an unread request: answer at a limited pace, and count."""
         if self._endpoint.malformed.admit(self.account, _now_ns()):
             self._answer(Outcome(False, str(error), error.reason == TOO_OLD))
         else:
@@ -218,17 +198,9 @@ class IncomingRequest:
         self.count_refusal(error.reason, str(error))
 
     def refuse(self, reason: str, sentence: str) -> None:
-        """Answer that it is not carried out, and count it."""
+        """Refuse a request: answer and count."""
         self._answer(Outcome(False, sentence))
         self.count_refusal(reason, f"{self.kind.name}: {sentence}")
-
-    def repeat(self, answer: bytes) -> None:
-        """Give the answer of before, empty where it is still to come, to a message that came again, and count it."""
-        if answer:
-            self._publish(answer)
-        self.count_refusal(
-            REPEATED, f"{self.kind.name} {self.identity.get('id', '')!r} came again soon after its answer, or before it"
-        )
 
     def count(self, word: str) -> None:
         """Count what became of it."""
@@ -238,19 +210,15 @@ class IncomingRequest:
         """Count that it was refused."""
         self._connection.run_side_effect("the count of refusals", self._connection.refuse, reason, sentence)
 
-    def _answer(self, outcome: Outcome) -> bytes:
-        answer = self._connection.run_side_effect("the answer", self._payload_of, outcome) or b""
+    def _answer(self, outcome: Outcome) -> None:
+        answer = self._connection.run_side_effect("the answer", self._payload_of, outcome)
         if answer:
-            self._publish(answer)
-        return answer
+            topic = self._connection.topics.ack_of(self.kind)
+            self._connection.run_side_effect("the answer", self._connection.answer, topic, answer)
 
     def _payload_of(self, outcome: Outcome) -> bytes:
         done = {"ok": outcome.success, "reason": outcome.message, "expired": outcome.expired, "by": self.kind.by}
         return self.kind.payload(**{**self.identity, **done, **outcome.fields})
-
-    def _publish(self, answer: bytes) -> None:
-        topic = self._connection.topics.ack_of(self.kind)
-        self._connection.run_side_effect("the answer", self._connection.answer, topic, answer)
 
     def _log(self, sentence: str) -> None:
         known = (pair for pair in self.identity.items() if pair[0] == "account" or pair[1] not in ("", self.account))
@@ -259,21 +227,17 @@ class IncomingRequest:
 
 
 class RequestQueue:
-    """Requests of the connection's thread are carried out in another one after the other, each once, each answered.
+    """Requests that are carried out one after the other, in another thread than the connection's, each answered.
 
     Args:
         most: That may wait.
         pace: How often each sender may ask; None: as often as it likes.
-        repeat_window: For so long after its answer the same message is the same request [s]; 0: each is another one.
     """
 
-    def __init__(self, most: int, pace: Pace | None = None, repeat_window: float = 0.0):
+    def __init__(self, most: int, pace: Pace | None = None):
         self._pace, self._limits = pace, None if pace is None else SenderLimits(pace)
-        self._most, self._repeat_window = most, repeat_window
-        self._lock = threading.Lock()
+        self._most = most
         self._waiting: queue.Queue[IncomingRequest] = queue.Queue(most)
-        #: Digest of a request to its answer and when that was given; None: it is not answered yet.
-        self._answered: dict[bytes, tuple[bytes | None, float]] = {}
 
     @property
     def waiting(self) -> int:
@@ -281,9 +245,7 @@ class RequestQueue:
         return self._waiting.qsize()
 
     def admits(self, request: IncomingRequest) -> bool:
-        """Return whether a request is worth reading; what is not was answered: one that came before as it was then."""
-        if self._repeat_window and self._is_repeated(request):
-            return False
+        """Return whether a request is worth reading; what comes too soon is answered."""
         if self._limits is None or not (wait := self._limits.waiting_time(request.account, _now_ns())):
             return True
         assert self._pace is not None  # there are limits
@@ -297,12 +259,9 @@ class RequestQueue:
     def enqueue(self, request: IncomingRequest) -> None:
         """Queue a request, or answer why not."""
         now = _now_ns()
-        self._record_answer(request, None)
         try:
             self._waiting.put_nowait(request)
         except queue.Full:
-            with self._lock:
-                self._answered.pop(request.digest, None)
             request.refuse("busy", f"{self._most} requests are waiting already; try again")
             return
         if self._limits is not None:
@@ -311,33 +270,11 @@ class RequestQueue:
     def run(self, patience: float = 0.0) -> None:
         """Carry out all that wait; wait so long [s] for the first one."""
         try:
-            self._carry_out(self._waiting.get(timeout=patience) if patience else self._waiting.get_nowait())
+            (self._waiting.get(timeout=patience) if patience else self._waiting.get_nowait()).carry_out()
             while True:
-                self._carry_out(self._waiting.get_nowait())
+                self._waiting.get_nowait().carry_out()
         except queue.Empty:
             return
-
-    def _is_repeated(self, request: IncomingRequest) -> bool:
-        now = time.monotonic()
-        with self._lock:
-            self._answered = {
-                key: (answer, at)
-                for key, (answer, at) in self._answered.items()
-                if answer is None or now - at <= self._repeat_window
-            }
-            if request.digest not in self._answered:
-                return False
-            answer, _ = self._answered[request.digest]
-        request.repeat(answer or b"")
-        return True
-
-    def _carry_out(self, request: IncomingRequest) -> None:
-        self._record_answer(request, request.carry_out())
-
-    def _record_answer(self, request: IncomingRequest, answer: bytes | None) -> None:
-        if self._repeat_window:
-            with self._lock:
-                self._answered[request.digest] = answer, time.monotonic()
 
 
 def _now_ns() -> int:

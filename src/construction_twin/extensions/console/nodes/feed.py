@@ -1,6 +1,6 @@
-"""What is told by MQTT of the robot's state: `view`, the status line, the scene, the tasks of the building model, messages.
+"""What the node publishes of the robot by MQTT: `view`, the status line, the scene, the tasks of the building model, messages.
 
-All was published on ROS already; the poses come in bundles, so that `view` costs the bridge no more than another subscriber.
+The poses come in bundles, so that `view` costs the bridge no more than another subscriber.
 """
 
 from __future__ import annotations
@@ -106,13 +106,13 @@ class _NewestReport(Generic[_Report]):
 
 
 class ConsoleFeed:
-    """Keeps what is retained, and sends it again where the broker may have forgotten it. Topics come in threads of their own.
+    """Publishes the state, and the retained topics again to a new broker; each ROS topic has its thread.
 
     Args:
         plan: Returns the id of the plan under review; empty: none.
-        deployment: What was started; None: what the start waits for is not told.
-        files: Where the scene's meshes go; None: no console was started with this robot.
-        messages: Where the messages are kept; None: only in memory.
+        deployment: What was started; None: unknown.
+        files: Folder of the scene's meshes; None: no console was started with this robot.
+        messages: File of the messages; None: only in memory.
         clock: Returns the time of day [s since 1970].
     """
 
@@ -135,11 +135,8 @@ class ConsoleFeed:
         self._deployment, self._files = deployment, files
         # of the plan's progress, of the writer, of what is retained
         self._lock, self._writing, self._publishing = threading.Lock(), threading.Lock(), threading.RLock()
-        self._sync, self._link, self._speed = (
-            _NewestReport(SyncReport),
-            _NewestReport(LinkReport),
-            _NewestReport(SpeedReport),
-        )
+        self._sync, self._link = _NewestReport(SyncReport), _NewestReport(LinkReport)
+        self._speed = _NewestReport(SpeedReport)
         self.on_sync, self.on_link, self.on_speed = self._sync.on_message, self._link.on_message, self._speed.on_message
         self._execution = _NewestReport(ExecutionReport)
         self._progress = PlanProgress()
@@ -164,7 +161,7 @@ class ConsoleFeed:
     # -- from ROS
 
     def on_plan(self, message: Plan) -> None:
-        """Take a plan for review."""
+        """Store the tool path of a plan."""
         path = _path_of(message)
         with self._publishing:
             self._paths.pop(message.id, None)
@@ -174,7 +171,7 @@ class ConsoleFeed:
             self._publish_path()
 
     def on_review(self, message: Review, rehearsal: RehearsalReport | None) -> None:
-        """Take a verdict, and the newest rehearsal, which may be of that plan."""
+        """Add the message of a verdict; `rehearsal`: the newest, of any plan."""
         if message.reviewer in ("", EXECUTOR):
             return
         person = message.reviewer
@@ -193,7 +190,7 @@ class ConsoleFeed:
         self.messages.on_act(APPROVED, message.header.stamp.to_sec(), sentence)
 
     def on_execution(self, message: Execution) -> None:
-        """Take the executor's report; tell the tool's path of the plan that is under way, none once it has ended."""
+        """Store the executor's report, and publish the path of the plan under way."""
         with self._lock:
             report = self._execution.on_message(message)
             self._progress.on_report(report)
@@ -208,7 +205,7 @@ class ConsoleFeed:
             self._publish_retained(self._topics.path, payload)
 
     def on_session_request(self, message: SessionRequestMessage) -> None:
-        """Take that a person has lifted a stop or fault, or armed."""
+        """Add the message of a reset or an arming."""
         asked = from_msg(SessionRequest, message)
         values = {"person": asked.person or Sentence("somebody at the robot's computer"), "lifts": asked.lifts}
         if asked.verb == "arm":
@@ -218,15 +215,15 @@ class ConsoleFeed:
         self.messages.on_act(asked.verb, message.stamp.to_sec(), sentence)
 
     def on_speed_change(self, message: SpeedChangeMessage) -> None:
-        """Take that a person has set the speed limit of people."""
+        """Add the message of a changed speed limit."""
         self.messages.on_speed(from_msg(SpeedChange, message))
 
     def on_hold(self, message: Hold) -> None:
-        """Take why the gate is closed."""
+        """Store the cause of a hold."""
         self._hold = from_msg(HoldReport, message)
 
     def on_scene(self, message: SceneMsg) -> None:
-        """Write the scene's meshes, then tell the scene: who hears of a mesh finds its file."""
+        """Write the scene's meshes, then publish the scene: each named mesh has its file."""
         try:
             scene = scene_from_msg(message)
             if self._files is not None:
@@ -238,21 +235,21 @@ class ConsoleFeed:
         self._publish_retained(self._topics.scene, to_json(scene_view(scene, self._base_link)))
 
     def on_tasks(self, message: WorkTasks) -> None:
-        """Tell the tasks."""
+        """Publish the tasks."""
         self._work = from_msg(WorkReport, message)
         self._publish_retained(self._topics.work_tasks, to_json(self._work, translatable=True))
 
     # -- to MQTT
 
     def republish_retained(self) -> None:
-        """Publish everything retained again: the broker may have been started anew."""
+        """Publish everything retained again (a new broker)."""
         with self._publishing:
             self._published_at = float("-inf")
             for topic, payload in self._retained.items():
                 self._connection.publish(topic, payload, retain=True)
 
     def publish_offline(self) -> None:
-        """Say that nothing is known, and take away what is retained: nobody keeps it up to date any more."""
+        """Publish the end, and clear what is retained."""
         self._connection.publish(self._topics.view, self._writer.offline())
         with self._publishing:
             for topic in self._retained:
@@ -270,11 +267,11 @@ class ConsoleFeed:
         return execution is not None and bool(execution.report.engaged)
 
     def first(self) -> tuple[str, bytes, bool]:
-        """Return what a new connection begins with: topic, payload, retain flag."""
+        """Return topic, payload and retain flag of a connection's first message."""
         return self._topics.view, self._view(), False
 
     def publish_view(self) -> bytes:
-        """Publish the present `view` where there is a connection, and return it."""
+        """Publish the present `view`, and return it."""
         payload = self._view()
         self._connection.publish(self._topics.view, payload, qos=0)
         return payload
@@ -282,10 +279,8 @@ class ConsoleFeed:
     def _view(self) -> bytes:
         # before anything is looked at: whoever repeats it has seen nothing newer
         moment, inputs = present_moment(), self.view_inputs()
-        self._had_twin_pose, self._had_arm_pose = (
-            self._had_twin_pose or inputs.twin is not None,
-            self._had_arm_pose or inputs.arm is not None,
-        )
+        self._had_twin_pose |= inputs.twin is not None
+        self._had_arm_pose |= inputs.arm is not None
         with self._writing:
             return self._writer.write(now_ns(), inputs, moment)
 
@@ -311,7 +306,7 @@ class ConsoleFeed:
         return self._execution.fresh() if self._executor_is_there() else None
 
     def publish_status_line(self) -> None:
-        """Send the status line when it has changed, or was not sent for a while."""
+        """Publish the status line on change, and once a second."""
         now = time.monotonic()
         if now - self._updated_at < UPDATE_PERIOD:
             return
@@ -351,7 +346,7 @@ class ConsoleFeed:
 
 
 def _path_of(message: Plan) -> bytes:
-    """Return where the tool goes by a plan, as it is told while that is played; nothing where its planner has not said it."""
+    """Return the payload of `path` while a plan is played; empty without a tool path."""
     times = [point.time_from_start.to_nsec() for point in message.trajectory.points]
     if not message.tool_path or len(message.tool_path) != len(times):
         return b""
@@ -378,7 +373,7 @@ def _pose_view(stream: LatestPose | None) -> PoseView | None:
 
 
 def deployment_of(started: Mapping[str, object] | None, namespace: str) -> Deployment | None:
-    """Return what bringup has told the node `startup` by its parameters; None where that does not run."""
+    """Return what was started, from the parameters of the node `startup`; None where that is absent."""
     fields = ("arm", "broker", "rsi", "gateway", "gateway_kind")
     if started is None or not set(fields) <= set(started):
         return None

@@ -23,8 +23,6 @@ from construction_twin.srv import PlanTrajectoryResponse
 
 #: Motions and plan requests that may wait while one is carried out; a person sends one at a time.
 WAITING = 4
-#: For so long after its answer the same bytes are the same message, sent twice by QoS 1 or by a sender that was run again [s].
-REPEAT_WINDOW = 5.0
 
 
 class ConsoleRequests:
@@ -49,7 +47,7 @@ class ConsoleRequests:
         self._joints, self._connection = joints, connection
         self._services, self._plan_trajectory = services, plan_trajectory
         self._has_work, self._is_engaged = has_work, is_engaged
-        self.queue = RequestQueue(WAITING, PLAN_REQUEST.pace, REPEAT_WINDOW)
+        self.queue = RequestQueue(WAITING, PLAN_REQUEST.pace)
         if max_trajectory_bytes:
             for kind in (NAMELESS_TRAJECTORY, TRAJECTORY):
                 read = partial(import_extension("planners.remote_trajectory").parse_trajectory, joints=joints)

@@ -36,14 +36,7 @@ PATH_POINTS = 200
 
 
 class ShownPlan:
-    """Keeps `plan` and `rehearsal`. ROS serves every topic from a thread of its own.
-
-    Args:
-        tool: Hash of the tool file, with which a rehearsal counts; empty: no tool.
-
-    Attributes:
-        rehearsal: The newest one that is whole.
-    """
+    """Publishes `plan` and `rehearsal`; `tool`: hash of the tool file. Each ROS topic has its thread."""
 
     def __init__(self, connection: Connection, tool: str = ""):
         self._topics, self._connection, self._tool = connection.topics, connection, tool
@@ -63,7 +56,7 @@ class ShownPlan:
             return self._board.plan
 
     def on_plan(self, message: Plan) -> None:
-        """Show a plan; a work plan whose hash is not that of what would be shown is refused."""
+        """Publish a plan; refuse a work plan whose hash is wrong."""
         try:
             view = plan_view(message, self._tool)
         except ConstructionTwinError as error:
@@ -75,7 +68,7 @@ class ShownPlan:
         self._publish_plan()
 
     def on_rehearsal(self, message: Rehearsal) -> None:
-        """Show what the rehearsal of a plan has found, until the plan is decided."""
+        """Publish a rehearsal until its plan is decided."""
         report = from_msg(RehearsalReport, message)
         if not is_whole(report):
             self._connection.refuse("rehearsal", f"the rehearsal of plan {report.plan_id!r} is not what its hash says")
@@ -86,7 +79,7 @@ class ShownPlan:
         self.publish_rehearsal()
 
     def on_caller(self, message: PlanCaller) -> None:
-        """Say of the plan under review whether the program that asked for it is still connected."""
+        """Publish whether the program that asked for the plan is still connected."""
         with self._lock:
             self._disconnected_plan = "" if message.connected else message.plan_id
             if self._view is None or self._view.id != message.plan_id:
@@ -104,11 +97,11 @@ class ShownPlan:
         self._board.on_plan(view.id, view.to_json(PATH_POINTS))
 
     def on_review(self, message: Review) -> None:
-        """Take a plan away that was approved or rejected."""
+        """Clear a plan that was decided."""
         self._change(PlanBoard.on_verdict, message.plan_id)
 
     def on_link(self, message: Link) -> None:
-        """Take the plan away when another session begins."""
+        """Clear the plan when another session begins."""
         if message.session and message.session != self._session:
             if self._session is not None:
                 self._change(PlanBoard.restart)
@@ -124,23 +117,23 @@ class ShownPlan:
     # -- to MQTT
 
     def first(self) -> tuple[str, bytes, bool]:
-        """Return what a new connection begins with: topic, payload, retain flag."""
+        """Return topic, payload and retain flag of a connection's first message."""
         self._received = b""
         return self._topics.plan, self._board.payload, True
 
     def publish_rehearsal(self) -> None:
-        """Publish what the rehearsal has found."""
+        """Publish the rehearsal."""
         self._connection.publish(self._topics.rehearsal, self._rehearsals.payload, retain=True)
 
     def _publish_plan(self) -> None:
         self._connection.publish(self._topics.plan, self._board.payload, retain=True)
 
     def on_own_plan(self, payload: bytes) -> None:
-        """Note what the broker holds."""
+        """Store what the broker holds."""
         self._received = payload
 
     def check(self) -> None:
-        """Publish again when the broker holds something else: the late last will of a predecessor takes our plan away."""
+        """Publish again when the broker holds something else, as after the late last will of a predecessor."""
         now = time.monotonic()
         if now - self._checked_at < CHECK_PERIOD:
             return
@@ -149,7 +142,7 @@ class ShownPlan:
             self._publish_plan()
 
     def clear_retained(self) -> None:
-        """Clear both retained messages: nobody hears a verdict any more."""
+        """Clear both retained messages."""
         for topic in (self._topics.plan, self._topics.rehearsal):
             self._connection.publish(topic, b"", retain=True)
 

@@ -112,7 +112,7 @@ class RehearsalNode:
     # -- subscriptions
 
     def on_scene(self, message: SceneMsg) -> None:
-        """Take a scene in which a plan may begin."""
+        """Store a scene."""
         try:
             scene = scene_from_msg(message)
         except SceneError as error:
@@ -123,7 +123,7 @@ class RehearsalNode:
             self._news.notify_all()
 
     def on_tasks(self, message: WorkTasks) -> None:
-        """Take what the elements of the tasks weigh, and which of them were placed."""
+        """Store masses of elements, and which were placed."""
         with self._news:
             self._masses = element_masses(message.tasks) | self._of_tool
             self._placed = frozenset(task.element for task in message.tasks if task.state == PLACED)
@@ -131,7 +131,7 @@ class RehearsalNode:
             self._news.notify_all()
 
     def on_plan(self, message: PlanMsg) -> None:
-        """Take a plan; it supersedes what is being rehearsed, until the executor has refused it."""
+        """Queue a plan; it supersedes the one that is rehearsed."""
         if self._absent:
             return
         try:
@@ -146,7 +146,7 @@ class RehearsalNode:
                 self._supersede()
 
     def on_review(self, message: Review) -> None:
-        """Take a verdict: a plan that was not approved needs no rehearsal, and the one before it is under review again."""
+        """Drop a rejected plan; the one before it is under review again."""
         if message.approved:
             return
         with self._news:
@@ -159,7 +159,7 @@ class RehearsalNode:
         return next(reversed(self._jobs.values()), None)
 
     def _supersede(self) -> None:
-        """Interrupt the rehearsal of a plan that is not the next one any more; under the lock."""
+        """Interrupt a rehearsal that is superseded; under the lock."""
         if self._running is not None and self._running is not self._next():
             self._superseded = True
             self._process.interrupt()

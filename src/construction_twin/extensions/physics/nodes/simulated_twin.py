@@ -25,12 +25,14 @@ from construction_twin.scene.collision_bodies import RobotBodies
 
 
 class LiveTwin:
-    """An arm with mass that follows what is commanded; before the first model it is where it is told to be.
+    """An arm with mass that follows the commands, one cycle per command; before the first model it is at the commanded pose.
+
+    Models are built elsewhere; `set_model` may be called from any thread. The same cycles in the same models give the same bytes.
 
     Attributes:
-        effort: What the axes gave in the last step [N m], [N]; empty before the first model.
+        effort: Of the axes in the last step [N m], [N]; empty before the first model.
         contacts: Pairs of links and objects that touched at the end of the last cycle, and that the planner would have refused.
-        diverged: How often the state became useless and the arm was put at rest at the commanded pose.
+        diverged: How often the state became useless and was begun anew.
     """
 
     def __init__(self, servo: Servo = Servo(holds=True)):

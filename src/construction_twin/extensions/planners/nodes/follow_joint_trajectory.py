@@ -212,27 +212,27 @@ class FollowJointTrajectoryNode:
     # -- subscriptions and actions: other threads
 
     def on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Take the twin's pose [rad] with its stamp [ns]."""
+        """Store the twin's pose [rad] with its stamp [ns]."""
         with self._poses:
             self._tracking.on_twin(stamp, q)
         self._read_on()
 
     def on_feedback(self, _stamp: int, q: tuple[float, ...], _seq: int, command_stamp: int) -> None:
-        """Take the arm's pose [rad], and which command it answers [ns]."""
+        """Store the arm's pose [rad] with the stamp of its command [ns]."""
         with self._poses:
             self._tracking.on_arm(q, command_stamp)
         self._read_on()
 
     def _read_on(self) -> None:
-        """Return when the next pose is of interest; rospy reads on then."""
+        """Wait until the next pose is of interest; rospy reads on then."""
         self._needs_poses.wait(PAUSE)
 
     def on_review(self, message: Review) -> None:
-        """Take a verdict."""
+        """Queue a verdict."""
         self._enqueue(self._goals.on_verdict, message.plan_id, message.approved, message.reviewer, message.reason)
 
     def on_execution(self, message: Execution) -> None:
-        """Take what the executor does."""
+        """Queue the executor's report."""
         if message.state not in ExecutorState._value2member_map_:
             unknown = f"execution state {message.state} is unknown; expected one of Execution.msg"
             self._diagnostics.refuse("execution", unknown)

@@ -34,10 +34,7 @@ STATUS_RATE, STATUS_KEPT = 5.0, 5.0
 
 
 class GoalServer(ActionServer):
-    """As `actionlib.ActionServer`, but an error in a callback ends the node, and a client that is slow or gone holds up nothing.
-
-    rospy's subscriber would log such an error and go on; its publisher starts a thread per client that is no daemon, and complains
-    about what is published while the node ends.
+    """An `actionlib.ActionServer` in which an error in a callback ends the node, and a slow client holds up nothing.
 
     Args:
         on_goal, on_cancel: Take the goal's handle; in rospy's threads, with the server's lock held.
@@ -67,18 +64,13 @@ class GoalServer(ActionServer):
         self.status_timer = rospy.Timer(rospy.Duration(1.0 / STATUS_RATE), self.publish_status_async)
 
     def is_connected(self, node: str) -> bool:
-        """Return whether a node still hears the status of its goals.
-
-        The status goes out all the time, so the connection of a client that ended without a word is found to be closed. That to a
-        machine which was cut off stays for as long as TCP believes in it.
-        """
+        """Return whether a node still subscribes to the status; one that was cut off, for as long as TCP believes in it."""
         return any(connection.endpoint_id == node for connection in self.status_pub.impl.connections)
 
     def internal_cancel_callback(self, goal_id: GoalID) -> None:
-        """Cancel what is there, and forget when.
+        """Cancel present goals, and forget the time.
 
-        actionlib goes on to drop every goal whose stamp is not later than the cancel's: a client whose clock is an hour ahead would
-        lock everybody else out for an hour, without a word. Here a cancel is about goals that are there, and nothing that comes.
+        actionlib drops every goal whose stamp is not later than the cancel's: a client whose clock is ahead locks the others out.
         """
         # in one: a goal that comes between the two would be dropped
         with self.lock:
@@ -86,10 +78,9 @@ class GoalServer(ActionServer):
             self.last_cancel = rospy.Time()
 
     def internal_goal_callback(self, goal) -> None:
-        """Take a goal; one whose id is there already is refused and counted.
+        """Accept a goal; refuse and count a repeated id.
 
-        actionlib drops it without a word; and where its cancel came first, the result that it sends has no error code, which is the
-        code of success. The goal is then recalled with `recalled`.
+        actionlib drops it silently; where its cancel came first, it sends a result without an error code, which means success.
         """
         with self.lock:
             there = [each for each in self.status_list if each.status.goal_id.id == goal.goal_id.id]
@@ -110,22 +101,13 @@ class GoalServer(ActionServer):
 
 #: How much later than planned an arm may be allowed to reach its goal [s].
 LONGEST = 600.0
-#: md5 sums of control_msgs 1.5 of ROS Noetic: of what every client in the field speaks.
-OFFICIAL_MD5 = {
-    "FollowJointTrajectoryAction": "bc4f9b743838566551c0390c65f1a248",
-    "FollowJointTrajectoryActionGoal": "cff5c1d533bf2f82dd0138d57f4304bb",
-    "FollowJointTrajectoryActionResult": "c4fb3b000dc9da4fd99699380efcc5d9",
-    "FollowJointTrajectoryActionFeedback": "d8920dc4eae9fc107e00999cce4be641",
-    "FollowJointTrajectoryGoal": "69636787b6ecbde4d61d711979bc7ecb",
-    "FollowJointTrajectoryResult": "493383b18409bfb604b4e26c676401d2",
-    "FollowJointTrajectoryFeedback": "10817c60c2486ef6b33e97dcd87f4474",
-    "JointTolerance": "f544fe9c16cf04547e135dd6063ff5be",
-}
+#: md5 sum of FollowJointTrajectoryAction of control_msgs 1.5 (ROS Noetic), which covers all messages in it.
+OFFICIAL_MD5 = "bc4f9b743838566551c0390c65f1a248"
 
 
 @dataclass(frozen=True)
 class GoalDefaults:
-    """What holds where a goal asks for nothing: tolerances at the goal, and of the time [s]."""
+    """Defaults: tolerances at the goal, and of the time [s]."""
 
     goal: Tolerances
     time_tolerance: float
@@ -142,11 +124,10 @@ def control_messages() -> ModuleType:
         messages = importlib.import_module("control_msgs.msg")
     except ImportError as error:
         raise ConfigurationError("the Python package control_msgs", f"missing ({error})", to_do) from error
-    for name, md5 in OFFICIAL_MD5.items():
-        found = getattr(messages, name)._md5sum
-        if found != md5:
-            where = f"one in {messages.__file__} whose {name} has the md5 sum {found}"
-            raise ConfigurationError("the Python package control_msgs", where, f"the md5 sum {md5}: {to_do}")
+    found = messages.FollowJointTrajectoryAction._md5sum
+    if found != OFFICIAL_MD5:
+        where = f"one in {messages.__file__} whose FollowJointTrajectoryAction has the md5 sum {found}"
+        raise ConfigurationError("the Python package control_msgs", where, f"the md5 sum {OFFICIAL_MD5}: {to_do}")
     return messages
 
 
