@@ -1,4 +1,4 @@
-"""console_node: what operators and programs elsewhere see of a robot by MQTT, and what they ask for there.
+"""console_node: the robot's state by MQTT, and requests of operators and programs elsewhere.
 
 A node of its own: reading a long motion takes longer than the bridge's 4 ms, and checking one takes seconds.
 """
@@ -119,8 +119,11 @@ class ConsoleNode:
         """Carry out what is asked for, and show everything, until shutdown."""
         self.acts.start()
         viewer = threading.Thread(target=self.run_view, name="view", daemon=True)
-        threads = {"connections": self.acts.run_connections, "log": self._run_log}
-        for each in (*(threading.Thread(target=run, name=name, daemon=True) for name, run in threads.items()), viewer):
+        for each in (
+            threading.Thread(target=self.acts.run_connections, name="connections", daemon=True),
+            threading.Thread(target=self._run_log, name="log", daemon=True),
+            viewer,
+        ):
             each.start()
         while not rospy.is_shutdown():
             self.requests.queue.run(0.2)
@@ -201,9 +204,9 @@ def _services() -> Services:
     )
 
 
-def _feed(handler: Callable[[ConsoleFeed, Any], object]) -> Callable[[ConsoleNode, Any], object]:
-    """Return a handler of the node, which gives its message to the feed."""
-    return lambda node, message: handler(node.feed, message)
+def _to(part: str, handler: str) -> Callable[[ConsoleNode, Any], object]:
+    """Return what gives a message to a part of the node."""
+    return lambda node, message: getattr(getattr(node, part), handler)(message)
 
 
 INTERFACE = Interface(
@@ -215,28 +218,19 @@ INTERFACE = Interface(
         PolledPose(EXPECTED, when=lambda settings: bool(settings.servo_model)),
     ),
     subscribes=(
-        Subscription("execution", msg.Execution, _feed(ConsoleFeed.on_execution), queue_size=10),
-        Subscription("work/tasks", msg.WorkTasks, _feed(ConsoleFeed.on_tasks), queue_size=2),
-        Subscription("scene", msg.Scene, _feed(ConsoleFeed.on_scene), queue_size=2),
+        Subscription("execution", msg.Execution, _to("feed", "on_execution"), queue_size=10),
+        Subscription("work/tasks", msg.WorkTasks, _to("feed", "on_tasks"), queue_size=2),
+        Subscription("scene", msg.Scene, _to("feed", "on_scene"), queue_size=2),
         Subscription("plan", msg.Plan, ConsoleNode.on_plan, queue_size=5),
-        Subscription(
-            "rehearsal", msg.Rehearsal, lambda node, message: node.shown_plan.on_rehearsal(message), queue_size=5
-        ),
-        Subscription(
-            "plan_caller", msg.PlanCaller, lambda node, message: node.shown_plan.on_caller(message), queue_size=5
-        ),
+        Subscription("rehearsal", msg.Rehearsal, _to("shown_plan", "on_rehearsal"), queue_size=5),
+        Subscription("plan_caller", msg.PlanCaller, _to("shown_plan", "on_caller"), queue_size=5),
         Subscription("review", msg.Review, ConsoleNode.on_review, queue_size=10),
-        Subscription("sync", msg.Sync, lambda node, message: node.feed.on_sync(message), queue_size=1),
-        Subscription("hold", msg.Hold, _feed(ConsoleFeed.on_hold), queue_size=1),
+        Subscription("sync", msg.Sync, _to("feed", "on_sync"), queue_size=1),
+        Subscription("hold", msg.Hold, _to("feed", "on_hold"), queue_size=1),
         Subscription("link", msg.Link, ConsoleNode.on_link, queue_size=5),
-        Subscription("session_request", msg.SessionRequest, _feed(ConsoleFeed.on_session_request), queue_size=10),
-        Subscription("speed_change", msg.SpeedChange, _feed(ConsoleFeed.on_speed_change), queue_size=50),
-        Subscription(
-            "speed_limit_in_force",
-            msg.SpeedLimitInForce,
-            lambda node, message: node.feed.on_speed(message),
-            queue_size=1,
-        ),
+        Subscription("session_request", msg.SessionRequest, _to("feed", "on_session_request"), queue_size=10),
+        Subscription("speed_change", msg.SpeedChange, _to("feed", "on_speed_change"), queue_size=50),
+        Subscription("speed_limit_in_force", msg.SpeedLimitInForce, _to("feed", "on_speed"), queue_size=1),
     ),
 )
 # its threads take turns every millisecond: what computes a pose holds up no stop

@@ -156,16 +156,11 @@ def plan_view(message: Plan, tool: str = "") -> PlanView:
     clearance = ClearanceView(
         message.clearance, message.clearance_time, message.clearance_between, _xyz(message.clearance_point)
     )
+    same = ("id", "hash", "source", "planner", "scene", "duration", "planning_time")
     return PlanView(
-        id=message.id,
-        hash=message.hash,
-        source=message.source,
-        planner=message.planner,
-        scene=message.scene,
+        **{name: getattr(message, name) for name in same},
         frame=message.header.frame_id,
         created_ns=message.header.stamp.to_nsec(),
-        duration=message.duration,
-        planning_time=message.planning_time,
         joints=message.trajectory.joint_names,
         start=points[0].positions if points else (),
         goal=points[-1].positions if points else (),
