@@ -19,6 +19,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from construction_twin.extensions.console.nodes.shown_plan import plan_view
 from construction_twin.extensions.console.remote_review import (
     MAX_TRAJECTORY_NUMBERS,
+    PathView,
     PlanBoard,
     shown,
 )
@@ -229,3 +230,10 @@ def test_a_work_plan_that_is_not_what_its_hash_says_is_not_shown():
     spoiled.segments[1].engaged = False
     with pytest.raises(TrajectoryError, match="has hash '.*', its content has"):
         plan_view(spoiled)
+
+
+def test_a_thinned_path_keeps_its_ends_and_its_rests_each_with_its_time():
+    path = PathView("p1", [0.1 * k for k in range(11)], [(0.1 * k, 0.123456, 0.0) for k in range(11)])
+    said = json.loads(path.to_json(3, required=(7,)))
+    assert said["times"] == [0.0, 0.5, 0.7, 1.0]
+    assert [point[0] for point in said["tool_path"]] == said["times"]
