@@ -1,9 +1,7 @@
 """Motions along a tool path: straight lines, arcs and blends, followed within 0.1 mm and 0.05 deg.
 
-Poses are ``base_T_tip``, joint vectors in the order of `RobotModel.joint_names`, SI. The arm stays on the
-branch of the inverse kinematics that it starts on: Newton steps follow the path from pose to pose, so the motion contains no
-flip and no extra whole turn. Where the branch ends (joint limit, singularity, out of reach, contact), planning fails with an
-error that says where and why. Every 4 ms sample of the trajectory is measured against the commanded path.
+The arm stays on the branch of the inverse kinematics that it starts on: Newton steps follow the path, so there is no flip and no
+extra whole turn. Where the branch ends planning fails and says where and why. Every 4 ms sample is measured against the path.
 """
 
 from __future__ import annotations
@@ -86,13 +84,10 @@ def plan_cartesian(
     acceleration_scale: float | None = None,
     bounds: PlanBounds = PlanBounds(),
 ) -> CartesianMotion:
-    """Plan a motion along a tool path.
+    """Plan a motion along a tool path that begins at the tool's pose.
 
-    Args:
-        start: Length n. The arm's pose; the path begins at its tool pose.
-        world: The motion must be free of contact in it, at every 4 ms sample and between them. Default: nothing is checked.
-        speed: Of the tool along the path [m/s]: never exceeded, and reached where the joint limits allow. Default: as fast as the
-            limits allow.
+    `world`: The motion must be free of contact in it, between its samples too; None: nothing is checked. `speed` of the tool along
+    the path [m/s]: never exceeded, and reached where the joint limits allow; None: as fast as they allow.
     """
     if speed is not None and not 0.0 < speed < math.inf:
         found = Quantity(speed, "m/s")

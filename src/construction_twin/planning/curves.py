@@ -1,18 +1,11 @@
 """Smooth curves through or along the points of a joint path.
 
-Joint vectors are in the order of `RobotModel.joint_names`, SI. A curve's parameter runs from 0 to its `length`; for the
-curves built here it is the time [s] that the slowest joint would need at full speed, so that equal steps along a curve take
-about equal times. Dynamics (see `time_scaling`) and obstacles are not known here.
+A curve's parameter runs from 0 to its `length`: the time [s] that the slowest joint would need at full speed. Three kinds:
 
-Three kinds of curve along the points of a path:
-
-- `interpolated` passes through every point (cubic spline). It overshoots its points, so it can leave the joint range if some of
-  them lie close to its ends.
-- `monotone` also passes through every point, and between two of them each joint only rises or only falls: it stays in range
-  if the points do. Its curvature at the points is larger, so it is slower.
-- `rounded` follows the straight lines between the points and cuts the corners: a cubic B-spline whose control points all
-  lie on the polyline. A B-spline lies in the convex hull of its control points, so it stays in range if the points
-  do, and it differs from the lines only near a corner, by a bounded amount.
+- `interpolated` passes through every point (cubic spline) and overshoots, so it can leave the range near its ends.
+- `monotone` passes through every point without overshooting: it stays in range if the points do, with more curvature at them.
+- `rounded` follows the straight lines and cuts the corners: a cubic B-spline, which lies in the hull of its control points on the
+  polyline, so it stays in range if the points do.
 """
 
 from __future__ import annotations
@@ -62,11 +55,9 @@ SAME_KNOT = 1e-9
 
 
 class JointCurve:
-    """A piecewise polynomial joint curve from parameter 0 to `length`, with continuous second derivatives.
+    """A piecewise polynomial joint curve from parameter 0 to `length`, with continuous second derivatives; pieces meet at `knots`.
 
-    Attributes:
-        knots: Shape (k,). Where the pieces meet, with both ends.
-        straight: The curve is one straight line at constant speed.
+    `straight`: It is one straight line at constant speed.
     """
 
     def __init__(self, pieces: PPoly):
@@ -109,9 +100,8 @@ def interpolated(points: np.ndarray, pace: np.ndarray) -> JointCurve:
 def monotone(points: np.ndarray, pace: np.ndarray) -> JointCurve:
     """Return a curve through all points along which no joint overshoots them; arguments as for `interpolated`.
 
-    Quintics that meet at the points with one slope and no second derivative. A slope is the mean of those of the two
-    lines that meet there, but 0 where the joint reverses, and at most 1.25 times the smaller one. The control points of a
-    quintic lie at fifths of its segment, and this bound keeps them, and with them the quintic, between its ends.
+    Quintics with no second derivative at the points. A slope there is the mean of the two lines', but 0 where the joint reverses,
+    and at most 1.25 times the smaller one: that keeps the control points, at fifths of a segment, and the quintic between its ends.
     """
     if len(points) == 2:
         return straight(points[0], points[1], pace)
@@ -132,15 +122,10 @@ def monotone(points: np.ndarray, pace: np.ndarray) -> JointCurve:
 
 
 def rounded(points: np.ndarray, pace: np.ndarray, corner_fraction: float) -> JointCurve:
-    """Return a curve on the straight lines between the points, with rounded corners.
+    """Return a curve on the straight lines between the points, with rounded corners; `corner_fraction` in (0, 1].
 
-    The corner at a point is cut within a distance of `corner_fraction` times half the shorter of its two segments, measured
-    along the polyline; beyond that the curve is on the lines. At the corner it misses the point by a sixth of that
-    distance, times the length of the difference of the two directions (0.24 of it at a right angle, a third where the
-    path turns back).
-
-    Args:
-        corner_fraction: In (0, 1]: smaller keeps closer to the points and is slower.
+    A corner is cut within `corner_fraction` times half the shorter of its two segments, along the polyline. It misses the point by
+    a sixth of that, times the length of the difference of the two directions (0.24 of it at a right angle).
     """
     if len(points) == 2:
         return straight(points[0], points[1], pace)

@@ -1,7 +1,6 @@
 """One branch of the inverse kinematics, followed along a tool path until the branch or the path ends.
 
-Newton steps from one pose to the next cannot change the branch: between two branches lies a singularity, and the steps are
-short enough to detect it. Where the branch ends, `BranchFollower.end_error` makes the error that says where and why.
+Newton steps cannot change the branch: between two lies a singularity, and the steps are short enough to detect it.
 """
 
 from __future__ import annotations
@@ -29,10 +28,9 @@ class CartesianPathError(PlanningError):
 
     Attributes:
         reason: ``joint limit``, ``singularity``, ``flip``, ``unreachable``, ``not found``, ``collision`` or ``deviation``.
-        fraction, distance: How far it can be followed: fraction of the path's length, and metres (see `tool_path.TURN_LENGTH` for
-            turns).
-        waypoint: Number of the waypoint that the tool was going to, from 0.
-        cause: The error behind it, with its own data: which joint, which pair, by how much.
+        fraction, distance: How far it can be followed, of the path's length and in metres.
+        waypoint: The one that the tool was going to, from 0.
+        cause: The error behind it.
     """
 
     def __init__(
@@ -69,11 +67,7 @@ FINEST = 1e-5
 
 
 class BranchFollower:
-    """Follows a tool path from a joint vector, `start`, shape (n,).
-
-    Attributes:
-        pace: Shape (n,). By these speeds the joints' steps are measured; 0: the joint stays.
-    """
+    """Follows a tool path from a joint vector, `start`; `pace`, shape (n,), measures the joints' steps; 0: the joint stays."""
 
     def __init__(self, path: ToolPath, inverse: InverseKinematics, start: np.ndarray):
         self.path = path
@@ -118,9 +112,7 @@ class BranchFollower:
     def check(self, q: np.ndarray, before: np.ndarray, s_before: np.ndarray, s: np.ndarray) -> None:
         """Check that joint vectors that were not found by `follow` belong to the branch; CartesianPathError where it ends.
 
-        Args:
-            q: Shape (m, n). At places `s`, shape (m,).
-            before: Shape (m, n). On the branch, at places `s_before`, each a little before the place of the same row of `q`.
+        `q`, shape (m, n), at places `s`; `before`, the same, on the branch a little before, at `s_before`.
         """
         far = np.any(np.abs(q - before) > LONGEST_STEP, axis=1)
         for row in np.flatnonzero(self._faults(q) | far)[:1]:
@@ -136,8 +128,7 @@ class BranchFollower:
     def _advance(self, q: np.ndarray, target: Pose) -> np.ndarray | None:
         """Return the joint vector of a pose near that of `q`; None if the Newton steps do not converge to it.
 
-        A joint that began at the end of its range and would leave it stays where it is for good, where the others are enough: one
-        that came there in motion would have to stop at once.
+        A joint that began at the end of its range and would leave it stays there for good, where the others are enough.
         """
         reached = self._newton(q, target, self.pace)
         if reached is None or len(q) <= 6:

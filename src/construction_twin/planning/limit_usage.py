@@ -1,8 +1,7 @@
-"""How much of the robot's limits a trajectory uses, at every 4 ms sample. The one computation of it for plans.
+"""How much of the robot's limits a trajectory uses, at every 4 ms sample.
 
-Joint vectors are in the order of `RobotModel.joint_names`, SI. Velocity, acceleration and jerk are computed twice, from the
-quintics and from differences of the sampled positions (which is what the controller sees), and the larger value is used. The
-jerk of the quintics jumps at every waypoint; its values just before and after each waypoint are included.
+Velocity, acceleration and jerk are computed from the quintics, just before and after each waypoint included, and from differences
+of the samples (what the controller sees); the larger value counts.
 """
 
 from __future__ import annotations
@@ -51,11 +50,10 @@ def cycle_times(trajectory: Trajectory) -> np.ndarray:
 
 
 def sampled_usage(trajectory: Trajectory, robot: RobotModel, given_times: bool = False) -> SampledUsage:
-    """Return a trajectory's use of the limits at every 4 ms sample. Ranges are not checked.
+    """Return a trajectory's use of the limits at every 4 ms sample, ranges not checked.
 
-    Args:
-        given_times: Leave out what the rounding of its times to `TIME_UNIT` can add: much of the curve's jerk between close
-            waypoints (60 rad/s^3 at 1 rad/s where they are 1 ms apart), and next to nothing of the differences.
+    `given_times`: Leave out what the rounding of its times to `TIME_UNIT` can add: much of the jerk where waypoints are close (60
+    rad/s^3 at 1 rad/s where they are 1 ms apart).
     """
     times = cycle_times(trajectory)
     q, *derivatives = trajectory.sample_many(times)
@@ -104,14 +102,7 @@ def range_excess(q: np.ndarray, robot: RobotModel) -> np.ndarray:
 def segment_jerks(
     times: np.ndarray, positions: np.ndarray, velocities: np.ndarray, accelerations: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the jerk of the quintics between waypoints, as `Trajectory` has them, shape (k - 1, n) each.
-
-    The jerk jumps at the waypoints, and usually has its maximum there.
-
-    Returns:
-        after, before: Just after each waypoint but the last, just before each but the first.
-        largest: Its largest size on each whole quintic.
-    """
+    """Return the jerk of the quintics just after and before each waypoint, and its largest size on each, shape (k - 1, n) each."""
     h = np.diff(times)[:, None]
     step = 60.0 * np.diff(positions, axis=0)
     v0, v1 = velocities[:-1] * h, velocities[1:] * h

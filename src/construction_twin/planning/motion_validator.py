@@ -1,8 +1,7 @@
 """Checks whether the arm touches anything between two points of a joint path, straight or with rounded corners.
 
-Joint vectors are in the order of `RobotModel.joint_names`, SI. States are checked at distances that bound how far any
-point of the arm, its tool and what it carries moves between two of them; the motion in between is not checked, except where
-`CornerRounding` is asked to. `recheck` decides on the final motion, between its samples too.
+States are checked at distances that bound how far any point of arm, tool and load moves between two of them; `recheck` decides on
+the final motion, between its samples too.
 """
 
 from __future__ import annotations

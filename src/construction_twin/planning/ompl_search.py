@@ -1,9 +1,7 @@
 """OMPL's planners as searches for a path, with each straight motion checked in one call.
 
-OMPL's log and its generator of seeds belong to the process, not to a planner. `OmplSearch.find` switches the log off. It seeds the
-generator before every search and creates everything that draws random numbers after that, so the same search with the same
-seed gives the same path, also in another process. This holds for planners that end with the first path found; a planner that
-improves its path until its time is over gets further on a faster machine.
+OMPL's log and generator of seeds belong to the process: `OmplSearch.find` switches the log off and seeds the generator before every
+search, so that one with the same seed gives the same path, unless its planner improves the path until its time is over.
 """
 
 from __future__ import annotations
@@ -44,13 +42,9 @@ WORTHWHILE = 0.02
 
 @dataclass(frozen=True)
 class PathQuery:
-    """What a path is sought for. Joint vectors are in the order of `RobotModel.joint_names` [rad] or [m].
+    """What a path is sought for, between free poses within the bounds; it may end at any goal, the nearest first.
 
-    Attributes:
-        goals: At least one, the nearest first; they and the start are free and within the bounds. The path may end at any.
-        validator: Says whether a straight edge is free; its `world` whether a pose is.
-        seed: Of everything that a search draws by chance, 1 to 2**32 - 1: the same query, with a new validator, gives the same
-            path, unless the search improves its path until the budget is over.
+    `seed`, 1 to 2**32 - 1, is of everything drawn by chance.
     """
 
     start: np.ndarray
@@ -147,10 +141,8 @@ class _OmplValidator(ob.MotionValidator):
 class OmplSearch:
     """One of OMPL's planners, by its name: finds a path, and shortens it.
 
-    It need not be trusted: timing, rounding of corners and the re-check of the finished motion are the `Planner`'s.
-
-    Planners of the PRM family are given the first goal only: they add goals from a thread of their own, and with a check in Python
-    that thread blocks for ever.
+    Those of the PRM family are given the first goal only: they add goals from a thread of their own, which a check in Python blocks
+    for ever.
     """
 
     def __init__(self, name: str):

@@ -1,7 +1,6 @@
-"""From a request to a checked plan: every kind of motion, in the present scene, one request at a time.
+"""From a request to a checked plan: every kind of motion, one request at a time, in a scene that is still the latest at its end.
 
-A plan is returned only if the scene it was checked against is still the latest one. Joint vectors in the order of
-`RobotModel.joint_names`, SI; poses of the robot's tip in its base frame. Knows no ROS; may be used from several threads.
+Joint vectors in the order of `RobotModel.joint_names`, SI; poses of the robot's tip in its base frame.
 """
 
 from __future__ import annotations
@@ -88,8 +87,8 @@ SPACING, CLOSEST = 0.02, 1e-4
 def way_back(path: ExecutedPath, present: JointValues, robot: RobotModel) -> Trajectory:
     """Return the motion from where the arm is back along a path to its beginning: its positions at other times, slowly.
 
-    Beside the path by more than a quarter of `WAY_BACK_TOLERANCE`, it goes straight to the nearest point of it first, and rests
-    there; by less, it begins at that point. PlanningError where it is too far from the path, at its beginning, or not possible.
+    Beside the path by more than a quarter of `WAY_BACK_TOLERANCE`, it goes straight to the nearest point first, and rests there.
+    PlanningError where it is too far from the path, at its beginning, or not possible.
     """
     pose = np.array(present, dtype=float)
     if path.trajectory.joint_names != tuple(robot.joint_names):
@@ -125,14 +124,12 @@ def _reversed(trajectory: Trajectory, begin: float, robot: RobotModel) -> Trajec
 
 
 class PlanningPipeline:
-    """Plans motions of one robot in the latest scene; PlanningError and SceneError say why there is no plan.
+    """Plans motions of one robot in the latest scene, also from several threads; PlanningError, SceneError: why there is no plan.
 
     Args:
-        self_collision: Default: found anew by `sample_self_collision`, which takes some seconds; a program keeps it in a file.
-        clock: Returns seconds from any fixed origin; measures planning time.
-        source: Topic of the scenes, for the message when there is none; empty: they are given by calls.
-        neighbour: Returns the space that another arm occupies now, padding included. Called for every plan; raises when it is not
-            known.
+        self_collision: Default: found anew by `sample_self_collision`, which takes some seconds.
+        source: Topic of the scenes, for the message when there is none; "": they are given by calls.
+        neighbour: Returns the space that another arm occupies now, padding included; raises when it is not known.
     """
 
     def __init__(
@@ -221,8 +218,8 @@ class PlanningPipeline:
     def through(self, start: JointValues, waypoints: Waypoints, request: PlanRequest, retime: bool = False) -> Plan:
         """Plan a motion through joint waypoints made elsewhere; see `waypoints.plan_waypoints`.
 
-        `retime`: times that need too much acceleration or jerk are replaced (`waypoints.time_asked`), and the plan says so, with
-        the reason; otherwise they are refused.
+        `retime`: times that need too much acceleration or jerk are replaced (`waypoints.time_asked`), and the plan says why; else
+        refused.
         """
 
         def build(world: CollisionWorld) -> Trajectory:

@@ -1,7 +1,6 @@
 """Motion planning in a scene: a path around what is there, timed, checked, as a plan for review.
 
-Joint vectors are in the order of `RobotModel.joint_names`, SI; poses are of the robot's tip in its base frame. A plan
-is valid only for the collision world it was made in; callers compare scene hashes if the scene may have changed.
+Joint vectors in the order of `RobotModel.joint_names`, SI; poses of the robot's tip in its base frame.
 """
 
 from __future__ import annotations
@@ -84,8 +83,8 @@ class PlanRequest:
     Attributes:
         duration: [s]; None: as fast as the scales allow.
         speed_scale: Fraction of the velocity limits in (0, 1]; None: the planner's default, or 1 with a duration.
-        acceleration_scale: Fraction of the acceleration limits in (0, 1]; None: the same as the speed scale.
-        waypoints: None: the default of `timing.time_path`.
+        acceleration_scale: The same of the acceleration limits; None: as the speed scale.
+        waypoints: None: as `timing.time_path`.
     """
 
     plan_id: str = field(default_factory=lambda: str(uuid.uuid4()))
@@ -123,11 +122,10 @@ class PlanRequest:
 
 
 class Planner:
-    """Plans joint motions of one robot. Not for use from several threads at once.
+    """Plans joint motions of one robot; not for use from several threads at once.
 
-    Args:
-        clock: Returns seconds from any fixed origin; measures planning time. OMPL's searches run on OMPL's own clock. With one that
-            ends with the first path found, the same request in the same world gives the same plan.
+    Searches run on OMPL's own clock. With a planner that ends with the first path found, the same request in the same world gives
+    the same plan.
     """
 
     def __init__(
@@ -157,12 +155,10 @@ class Planner:
     def plan_to_pose(
         self, start: JointValues, pose: Pose, request: PlanRequest, world: CollisionWorld, configuration: str = ""
     ) -> Plan:
-        """Plan a motion that brings the robot's tip to a pose in its base frame.
+        """Plan a motion that brings the robot's tip to a pose in its base frame; KinematicsError where it cannot be reached.
 
-        Every joint solution of the pose is a goal: straight motions to them are tried first, the nearest before the
-        others; a search is given the nearest ones that are free. KinematicsError where it cannot be reached.
-
-        `configuration`: Only joint solutions of this one, see `Configuration.parse`.
+        Straight motions to all joint solutions, of a `configuration` (`Configuration.parse`), are tried first; a search is given
+        the nearest ones that are free.
         """
         began = self._clock()
         begin = self._joint_vector("start", start)

@@ -1,12 +1,7 @@
 """The dense re-check of plans of every origin: limits at every 4 ms sample; the scene at every sample and between them.
 
-The samples are the setpoints that twin and arm are sent. Between two of them each joint is taken to go evenly from one to the
-next. The plan's own curve is beside that line by about (4 ms)^2 / 8 times the acceleration per joint: at the limits of all joints
-of the KR 120 at once, no point of the arm by more than 0.1 mm, the end of a bar of 4 m by 0.4 mm (docs/planning.md).
-
-What it measures is shown to the reviewer: the smallest clearance and where it is, and the largest use of each limit. A distance
-that no joint changes is none of the plan's, and left out of it: link_1 of the KR 120 turns 315 mm above the floor, whatever is
-planned.
+Between two samples each joint is taken to go evenly. The plan's own curve is beside that line by about (4 ms)^2 / 8 times the
+acceleration per joint: on the KR 120 no point by more than 0.1 mm, the end of a bar of 4 m by 0.4 mm (docs/planning.md).
 """
 
 from __future__ import annotations
@@ -26,12 +21,7 @@ from construction_twin.scene.collision_world import CollisionWorld
 
 
 class CollisionError(PlanningError):
-    """Two bodies that must not touch do.
-
-    Attributes:
-        between: Their names: a link or a carried object first, then a link or an object of the scene.
-        time: In a motion [s].
-    """
+    """Two bodies that must not touch do: `between` a link or carried object and a link or object, at `time` in a motion [s]."""
 
     def __init__(self, between: tuple[str, str], where: str, time: float | None = None):
         self.between = tuple(between)
@@ -79,10 +69,7 @@ def recheck(
 ) -> PlanReport:
     """Check and measure a trajectory: its limits at every 4 ms sample, its contacts and clearance also between two samples.
 
-    `sampled`: What `sampled_usage` found of this very trajectory; of another one it is not used.
-
-    Raises:
-        LimitError, CollisionError: At a sample, or between two; the sentence says when.
+    `sampled`: The `sampled_usage` of this very trajectory. LimitError, CollisionError: at a sample, or between two.
     """
     began = clock()
     if sampled is None or sampled.trajectory is not trajectory:

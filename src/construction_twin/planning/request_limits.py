@@ -1,7 +1,4 @@
-"""Limits of what a request may ask of a plan, and of a plan's size; checked before anything of that size is computed.
-
-Joint vectors in the order of `RobotModel.joint_names`, SI.
-"""
+"""Limits of what a request may ask of a plan, and of a plan's size; checked before anything of that size is computed."""
 
 from __future__ import annotations
 
@@ -17,11 +14,7 @@ from construction_twin.robot.motion_errors import PlanningError, TrajectoryError
 
 
 class PlanSizeError(PlanningError):
-    """A plan would be larger than this planner makes.
-
-    Attributes:
-        quantity: ``duration`` [s], ``waypoints`` or ``length`` of the tool's path [m].
-    """
+    """A plan would be larger than this planner makes; `quantity` is ``duration`` [s], ``waypoints`` or ``length`` [m]."""
 
     _OF = {
         "duration": ("duration", "ask for a faster or shorter motion"),

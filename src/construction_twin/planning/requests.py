@@ -19,12 +19,9 @@ VERDICT_TIME = 0.1
 
 @dataclass(frozen=True)
 class Answer:
-    """What became of a request; its names are those of the services' answers.
+    """What became of a request, by the names of the services' answers.
 
-    Attributes:
-        fraction: Of the path that can be followed.
-        failure: Name of the error's class; "" for a plan.
-        trace: Of an error that nobody foresaw; else "".
+    `fraction` of the path that can be followed; `failure`: the error's class, "" for a plan; `trace` of an unforeseen one.
     """
 
     success: bool
@@ -41,9 +38,8 @@ class Answer:
 class PlanRequests:
     """Makes and publishes a plan for each request.
 
-    Args:
-        begin: Called before each plan is made; raises where nothing is known to plan in.
-        publish: Takes a plan, what it does to the scene, its request and the answer; the plan is None when it was published before.
+    `begin` is called before each, and raises where nothing is known to plan in. `publish` takes a plan (None: published before),
+    what it does to the scene, its request and the answer.
     """
 
     def __init__(

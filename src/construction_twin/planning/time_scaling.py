@@ -1,9 +1,8 @@
 """Time scaling: the curve parameter s over time t, within the limits of every joint.
 
-The fastest motion within velocity and acceleration limits comes from toppra (for a straight line in closed form: it is
-the trapezoid that toppra would find). Its acceleration jumps, so it is smoothed by two moving averages over time: the first
-spreads each jump over enough time for the jerk limit, the second makes the jerk continuous. The smoothed motion starts and
-ends at rest with zero acceleration.
+The fastest motion within velocity and acceleration limits comes from toppra (for a straight line in closed form). Two moving
+averages over time smooth it: the first spreads each jump of the acceleration for the jerk limit, the second makes the jerk
+continuous.
 """
 
 from __future__ import annotations
@@ -85,8 +84,7 @@ class TimeScaling:
     """The curve parameter s over time, from 0 to the curve's length, from rest to rest.
 
     Attributes:
-        pieces: s over t in [0, `duration`].
-        blur: Half-width of the smoothing: values this far before and after are averaged [s].
+        blur: Half-width of the smoothing [s].
         phases: The jerk is constant on each piece: a quintic that begins and ends in one is the motion itself.
     """
 
@@ -205,11 +203,7 @@ class TimeScalingSearch:
         return PiecewisePolynomial(times, np.stack((half_acceleration, speed[:-1], grid[:-1])))
 
     def _window(self, fastest: PiecewisePolynomial) -> float:
-        """Return the first smoothing window for which the motion is shortest after it is slowed to the jerk limit.
-
-        A switch between full acceleration and full deceleration needs twice the window of a switch to or from constant
-        speed.
-        """
+        """Return the first smoothing window for which the motion is shortest after it is slowed to the jerk limit."""
         shortest = float(np.max(self._limits.acceleration / self._jerk))
         end = float(fastest.knots[-1])
         times = np.linspace(0.0, end, 200)
@@ -231,8 +225,7 @@ class TimeScalingSearch:
 def smoothed(s_over_time: PiecewisePolynomial, first: float, second: float) -> TimeScaling:
     """Average a piecewise quadratic s(t), from t = 0, over two windows in time, one after the other [s]; longer by both.
 
-    d2s/dt2 of the result is a difference of four values of s divided by the windows, hence quadratic between shifted
-    knots: three samples give each piece exactly, and integrating it keeps s and its derivatives consistent.
+    Between shifted knots d2s/dt2 of the result is quadratic: three samples give each piece exactly, and it is integrated.
     """
     end = s_over_time.knots[-1]
     shifts = np.array([0.0, first, second, first + second])
@@ -251,11 +244,9 @@ def smoothed(s_over_time: PiecewisePolynomial, first: float, second: float) -> T
 def _integrated(
     h: np.ndarray, square: np.ndarray, linear: np.ndarray, constant: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Integrate d2s/dt2 from rest at s = 0; return knots and coefficients of s, for a `PiecewisePolynomial`, and s at the end.
+    """Integrate d2s/dt2 from rest at s = 0; return knots and coefficients for a `PiecewisePolynomial`, and s at the end.
 
-    Args:
-        h: Shape (k,). Durations of the pieces [s].
-        square, linear, constant: Shape (k,). d2s/dt2 of each piece, by powers of the time since its begin.
+    `h`: durations of the pieces, shape (k,) [s]; the others: d2s/dt2 of each by powers of the time since its begin.
     """
     speeds = np.concatenate(([0.0], np.cumsum(((square / 3.0 * h + 0.5 * linear) * h + constant) * h)))
     fourth, third, second = square / 12.0, linear / 6.0, 0.5 * constant
@@ -290,9 +281,8 @@ class _Limits(LinearConstraint):
 def _fastest_squares(solver: seidelWrapper, steps: np.ndarray) -> np.ndarray:
     """Return the largest (ds/dt)^2 at each stage, from rest to rest: toppra's two passes.
 
-    Zero speed satisfies every constraint at every stage, so the interval of speeds from which the end can be reached always
-    begins at 0, and one linear program per stage and pass is enough. (toppra's own driver also solves for the lower end, and
-    always formats its log.)
+    Zero speed satisfies every constraint, so the interval of speeds from which the end can be reached begins at 0: one linear
+    program per stage and pass is enough.
     """
     stages = len(steps)
     ceiling = np.zeros(stages + 1)

@@ -1,9 +1,7 @@
 """Timing of a joint path: a trajectory inside the limits, continuous in acceleration, at rest at both ends.
 
-Joint vectors are in the order of `RobotModel.joint_names`, SI. The points of a path are joined by a smooth curve
-(`curves`), whose time scaling s(t) is found (`time_scaling`) and sampled at the waypoints. The quintics between the waypoints are
-then measured and slowed until they are within the limits. Obstacles are not known here: between its points a curved path
-leaves the straight line.
+A smooth curve joins the points (`curves`); its time scaling (`time_scaling`) is sampled at the waypoints, and the quintics between
+them are slowed until they are within the limits. Obstacles are not known here.
 """
 
 from __future__ import annotations
@@ -91,24 +89,19 @@ def timed_path(
     bounds: PlanBounds = PlanBounds(),
     times: np.ndarray | None = None,
 ) -> TimedPath:
-    """Time a joint path.
+    """Time a joint path, shape (m, n), from rest to rest exactly at its ends.
 
-    The trajectory starts and ends at rest (velocities and accelerations exactly 0), exactly at the path's ends. At
-    every 4 ms sample its velocities are within `VELOCITY_FRACTION` times `speed_scale`, its accelerations within
-    `ACCELERATION_FRACTION` times `acceleration_scale` of the robot's limits, its jerk within the robot's limit, its positions
-    within the range.
+    At every 4 ms sample its velocities are within `VELOCITY_FRACTION` times `speed_scale`, its accelerations within
+    `ACCELERATION_FRACTION` times `acceleration_scale` of the robot's limits, its jerk and positions within the limits.
 
     Args:
-        path: Shape (m, n). Points of the path [rad] ([m] for a prismatic joint), at least two. Two make a straight line.
-        duration: Duration of the motion [s], to the nanosecond. Default: as short as the limits allow.
-        speed_scale: Fraction of the velocity limits in (0, 1].
-        acceleration_scale: Fraction of the acceleration limits in (0, 1]. Default: `speed_scale`.
-        waypoints: Number of waypoints, equally spaced in time, at least 2. With few waypoints the motion between two of them leaves
-            the path. Default: one every `WAYPOINT_SPACING`, at least `MINIMUM_WAYPOINTS`.
-        corner_fraction: In (0, 1]: follow the straight lines between the points and round the corners over this fraction of the
-            available length (`curves.rounded`); never out of range. Default: a curve through all points (`curves.interpolated`, or
-            `curves.monotone` where that would leave the range).
-        times: Shape (m,). Increasing [s]: from one point to the next the motion takes no less time than these do.
+        duration: [s]; None: as short as the limits allow.
+        acceleration_scale: None: `speed_scale`.
+        waypoints: Their number, equally spaced in time; None: one every `WAYPOINT_SPACING`, at least `MINIMUM_WAYPOINTS`. Few leave
+            the path.
+        corner_fraction: In (0, 1]: follow the straight lines and round the corners (`curves.rounded`). None: a curve through all
+            points (`curves.interpolated`, or `curves.monotone` where that would leave the range).
+        times: Shape (m,). [s] From one point to the next the motion takes no less time than these do.
 
     Raises:
         JointRangeError: If a point is out of range, or the motion between few waypoints leaves the range.
@@ -149,14 +142,10 @@ def time_curve(
     spacing: float = WAYPOINT_SPACING,
     bounds: PlanBounds = PlanBounds(),
 ) -> TimedCurve:
-    """Time a given smooth joint curve from rest to rest, as fast as the limits allow; JointRangeError where it leaves the range.
+    """Time a given smooth joint curve from rest to rest in whole 4 ms cycles, as fast as the limits allow.
 
-    Args:
-        top_speed: Largest ds/dt [unit of `length` per s], for a curve over the length of the tool's path the tool's speed.
-        spacing: Time between waypoints [s]; with a shorter one the motion stays closer to the curve.
-
-    Returns:
-        Its duration is a whole number of 4 ms cycles, so that motions joined one after the other stay on one 4 ms grid.
+    `top_speed`: Largest ds/dt, for a curve over the length of the tool's path the tool's speed. `spacing` of the waypoints [s]:
+    shorter stays closer to the curve. JointRangeError where it leaves the range.
     """
     acceleration_scale = speed_scale if acceleration_scale is None else acceleration_scale
     check_request(None, speed_scale, acceleration_scale, None, None)
@@ -179,11 +168,7 @@ def with_midpoints(path: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class TimedPath:
-    """A trajectory with its use of the limits, if that was measured.
-
-    Attributes:
-        passing_times: Of the points whose times were given [s]; None: none were. Of equal points only the first counts.
-    """
+    """A trajectory with its use of the limits, if measured, and when the points with times are passed [s]."""
 
     trajectory: Trajectory
     usage: SampledUsage | None
@@ -279,8 +264,7 @@ class _Request:
     ) -> TimedCurve:
         """Slow a motion by the smallest factor (at least 1 and `least`, to `STRETCH_STEP`) that brings it into the limits.
 
-        Args:
-            count: Of the waypoints that `least` was found with: with as many, it is enough for what is between the samples.
+        `count`: Of the waypoints that `least` was found with: with as many, it is enough for what is between the samples.
         """
         limits = TimeScalingLimits.fractions(self.robot, self.velocity_fraction, self.acceleration_fraction)
         stretch, known = max(1.0, least), count is not None
@@ -331,8 +315,7 @@ class _Request:
     def _times(self, scaling: TimeScaling, duration: float, faster_count: int | None = None) -> np.ndarray:
         """Return the times of the waypoints of a motion that is as long as `duration` [s].
 
-        Args:
-            faster_count: Number of waypoints of a motion that is little faster: the quintics of as many are the same, only slower.
+        `faster_count`: Number of waypoints of a motion that is little faster: the quintics of as many are the same, only slower.
         """
         count = self.waypoints or max(MINIMUM_WAYPOINTS, math.ceil(duration / self.spacing) + 1)
         if faster_count is not None and count <= SPACING_KEPT * faster_count:
@@ -395,8 +378,7 @@ class _SampledMotion:
 def _slower(scaling: TimeScaling, way: _SampledMotion, factor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the largest ds/dt over s that slows the present motion by the factors; inf where it is not too fast.
 
-    Around a time that is too fast, the motion is slowed over the half-width of the smoothing on both sides, because the smoothing
-    averages over it.
+    It is slowed over the half-width of the smoothing on both sides, because the smoothing averages over it.
     """
     reach = math.ceil(scaling.blur / (way.times[1] - way.times[0]))
     padded = np.pad(factor, reach, constant_values=1.0)

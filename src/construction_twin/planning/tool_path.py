@@ -1,9 +1,8 @@
-"""The path that a tool is told to follow: straight lines and circular arcs through waypoints, with stops or blends at the corners.
+"""The path that a tool is told to follow: lines and circular arcs through waypoints, with stops or blends at the corners.
 
-Poses are ``base_T_tip``; lengths in metres along the path. Along a segment the orientation turns at a constant rate about
-one axis (slerp). In a blend, position and orientation leave the incoming segment and join the outgoing one with continuous first
-and second derivatives with respect to the path's length. Every segment gives a pose as a function of its own length, from 0; its
-`direction` is the derivative: a unit vector, and the angular velocity per metre in the base's directions. Knows no arm.
+Poses are ``base_T_tip``. Along a segment the orientation turns at a constant rate about one axis (slerp); a blend is continuous up
+to the second derivative. Every segment gives a pose by its own length, from 0 [m]; its `direction` is the derivative: a unit
+vector, and the angular velocity per metre in the base's directions.
 """
 
 from __future__ import annotations
@@ -43,13 +42,12 @@ SMOOTH = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class ToolWaypoint:
-    """Where one segment of a tool path ends.
+    """Where one segment of a tool path ends: a pose of the tip in the robot's base.
 
     Attributes:
-        pose: Of the tip in the robot's base.
-        via: Shape (3,). Any other point of the circular arc that leads here [m]; None: a straight line.
-        blend: Radius of the rounded corner [m]: how far before and after the waypoint, along the path, the tool leaves the
-            segments. 0: the tool stops here, unless the path goes on in the same direction. The last one always stops.
+        via: Shape (3,). Another point of the circular arc that leads here [m]; None: a straight line.
+        blend: Radius of the rounded corner along the path [m]; 0: the tool stops here, unless the path goes on in the same
+            direction.
     """
 
     pose: Pose
@@ -59,10 +57,9 @@ class ToolWaypoint:
 
 @dataclass(frozen=True)
 class Piece:
-    """The part of a tool path from one stop to the next.
+    """The part of a tool path from one stop to the next, `begin` to `end` [m].
 
     Attributes:
-        begin, end: Along the path [m].
         turn: It is a turn on the spot, to which the tool's speed does not apply.
         knots: Where the segments meet, `begin` and `end` included.
         cells: Number of samples of each segment to start with.
@@ -80,11 +77,9 @@ class Leg:
     """A straight line, an arc or a turn on the spot, with a constant angular velocity: rotation ``exp(spin s) first``.
 
     Attributes:
-        origin: Where it begins [m].
-        tangent: Unit vector along it there; 0: a turn on the spot, whose length only parametrises the turn.
+        tangent: Unit vector along it at `origin`; 0: a turn on the spot, parametrised by its length.
         bend: Its curvature there, towards the centre [1/m]; 0: straight.
         spin: [rad/m]
-        length: [m]
     """
 
     origin: np.ndarray
@@ -332,11 +327,7 @@ def _leg(number: int, start: Pose, waypoint: ToolWaypoint) -> Leg | None:
 def _trimmed(
     legs: list[tuple[int, Leg]], waypoints: Sequence[ToolWaypoint]
 ) -> tuple[list[Segment], list[int], list[tuple[int, int]]]:
-    """Cut the legs where they are blended, and insert the blends.
-
-    Returns:
-        Segments, the indices of those after which the tool stops, and of each waypoint with the segment that ends there.
-    """
+    """Return the legs, cut and blended, the indices of those after which the tool stops, and of each waypoint's last one."""
     cuts = [0.0] * (len(legs) + 1)
     for index, ((number, leg), (_, following)) in enumerate(pairwise(legs)):
         cuts[index + 1] = waypoints[number].blend

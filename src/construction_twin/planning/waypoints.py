@@ -1,8 +1,7 @@
 """Joint waypoints made by another program: checked, never clamped, and converted to a trajectory.
 
-Joint vectors are in the order of `RobotModel.joint_names`, SI; the units of a file appear only in `waypoint_file` and in the
-messages. Waypoints without times are timed by `timing.time_path`, which passes through all of them. Given times are kept, and
-refused if they break a limit.
+Without times they are timed by `timing.time_path`; given times are kept, and refused if they break a limit. SI, but for the units
+of a file in messages.
 """
 
 from __future__ import annotations
@@ -24,12 +23,7 @@ from construction_twin.robot.trajectory import Trajectory
 
 
 class WaypointsError(PlanningError):
-    """Waypoints from elsewhere cannot be used.
-
-    Attributes:
-        row, joint: Line of the file, or number of the point in a message (from 0); None and "" when no single one is at fault.
-        value, limit: What was found, and the limit it breaks, in SI.
-    """
+    """Waypoints from elsewhere cannot be used: a line of the file, or point from 0, `joint`, value and limit in SI, where known."""
 
     def __init__(
         self, message: str, row: int | None = None, joint: str = "", value: object = None, limit: float | None = None
@@ -75,9 +69,7 @@ class Unit:
 class Waypoints:
     """Waypoints in the robot's joint order, not yet checked against its limits.
 
-    Attributes:
-        rows: Number of each waypoint in messages: a line of the file, or the index of the point, as `row_name` says.
-        velocities, accelerations: Only with `times`.
+    `rows`: Number of each in messages: a line of the file, or the index of the point, as `row_name` says.
     """
 
     rows: tuple[int, ...]
@@ -111,11 +103,8 @@ def from_points(
 ) -> Waypoints:
     """Return the waypoints in a trajectory message. A single point is a goal: the motion to it begins at the present pose.
 
-    Args:
-        joint_names: The robot's joints in any order, each once.
-        positions: Per point, in the order of `joint_names` [rad] or [m].
-        velocities, accelerations: The same; None or all empty: not given.
-        times: [s]; None or all 0: not given.
+    Values per point in the order of `joint_names` (any) [rad] or [m]; derivatives None or all empty, times None or all 0: not
+    given.
     """
     if sorted(joint_names) != sorted(robot.joint_names):
         found, joints = ", ".join(joint_names), ", ".join(robot.joint_names)
@@ -173,15 +162,11 @@ def plan_waypoints(
     acceleration_scale: float | None = None,
     bounds: PlanBounds = PlanBounds(),
 ) -> Trajectory:
-    """Check waypoints against the robot's limits and make them a trajectory from the present pose.
+    """Check waypoints against the robot's limits and make them a trajectory that begins exactly at the present pose, shape (n,).
 
-    With times, the timing is kept: the motion passes every waypoint at its time, counted from the first. Between them it
-    is smooth up to the acceleration; where velocities are not given, up to the fourth derivative (quintic spline).
-
-    Args:
-        present: Length n. The arm's pose. The first waypoint must be there within `START_TOLERANCE_RAD` or `START_TOLERANCE_M`, and
-            the trajectory then begins exactly at `present`. A single waypoint is the goal of a straight joint motion from there;
-            its time is how long the motion takes.
+    With times, the motion passes every waypoint at its time, counted from the first, smooth up to the acceleration (without
+    velocities a quintic spline). The first waypoint is within `START_TOLERANCE_RAD` or `_M` of `present`. A single one is the goal
+    of a straight motion; its time is how long that takes.
 
     Raises:
         WaypointsError: Naming row, joint, value and limit.

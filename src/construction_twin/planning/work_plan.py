@@ -1,8 +1,6 @@
-"""A work plan: motions made elsewhere, joined at rest to one trajectory and checked each in the scene that it will be executed in.
+"""A work plan: motions made elsewhere, joined at rest to one trajectory and checked each in the scene of its execution.
 
-Whoever made the motions is not trusted: ranges and limits of every 4 ms sample, and contacts at and between them, are checked
-here, as those of any plan.
-Joint vectors in the order of `RobotModel.joint_names`, SI.
+Whoever made the motions is not trusted: limits and contacts are checked as those of any plan.
 """
 
 from __future__ import annotations
@@ -65,13 +63,8 @@ def plan_work(
 ) -> Plan:
     """Join segments to a plan and check each in its scene, limits at every 4 ms, contacts between these samples too.
 
-    Args:
-        present: Length n. The arm's pose. The first segment must begin there within `START_TOLERANCE_RAD` or `START_TOLERANCE_M`;
-            what is left of the difference fades away during the segment, so that the plan begins exactly at `present`.
-        request: Its duration, scales and number of waypoints are not used.
-
-    Raises:
-        SegmentError: Naming the segment, with its cause.
+    The first segment begins at `present`, shape (n,), within `START_TOLERANCE_RAD` or `_M`; what is left of the difference fades
+    away during the segment. Duration, scales and waypoints of `request` are not used. SegmentError names the segment.
     """
     began = clock()
     _check_counts(task, segments, bounds)

@@ -1,8 +1,4 @@
-"""A segment of a work plan before it is checked: a motion that whoever carries out a task has made, and what happens at its end.
-
-SI; joint vectors in the order of `RobotModel.joint_names`. The checked one, whose scenes are named by their hashes, is
-`robot.segments.Segment`.
-"""
+"""A segment of a work plan before it is checked; then it is a `robot.segments.Segment`."""
 
 from __future__ import annotations
 

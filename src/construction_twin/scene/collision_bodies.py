@@ -1,7 +1,4 @@
-"""Bodies for the collision checks: a robot's links and a scene's objects as shapes of Pinocchio and Coal.
-
-Metres; poses in the root of the URDF's tree, where Pinocchio has its world (`RobotBodies.root_T_base` leads there).
-"""
+"""A robot's links and a scene's objects as shapes of Pinocchio and Coal; metres, poses in the root of the URDF's tree."""
 
 from __future__ import annotations
 
@@ -49,11 +46,10 @@ class Body:
     """One shape, rigidly fixed to a joint.
 
     Attributes:
-        link: The link it belongs to or is carried by; empty: it stands in the world.
-        joint: Pinocchio's index of the joint that moves it; 0: nothing does.
-        placement: Of the shape in the joint's frame.
-        item: None for a link of the robot.
-        shapes: All shapes of a scene object, of which this is one; None for a link.
+        link: The link it belongs to or is carried by; "": it stands in the world.
+        joint: Pinocchio's index; 0: nothing moves it.
+        placement: In the joint's frame.
+        item, shapes: Of a scene object: itself, and all its shapes.
     """
 
     owner: str
@@ -67,11 +63,9 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class ObjectShapes:
-    """What contacts of a scene object are checked with, in its frame: one shape, or the convex pieces of its mesh.
+    """A scene object for contacts, in its frame: one shape, or convex pieces that reach beyond its mesh by `reach` [m].
 
-    Attributes:
-        reach: How far the pieces reach beyond the mesh [m].
-        whole: The surface that has the object's volume and moments; None: its shapes have them, together.
+    `whole`: the surface that has the object's volume and moments; None: its shapes have them, together.
     """
 
     shapes: tuple[coal.CollisionGeometry, ...]
@@ -80,17 +74,13 @@ class ObjectShapes:
 
 
 class RobotBodies:
-    """A robot's joints and collision shapes.
-
-    Joints outside of the chain are locked where `RobotModel.other_joints` says; those that follow a joint of the chain are joints
-    here as well, and `rows` says where they are.
+    """A robot's joints and collision shapes; joints outside of the chain are locked, or follow one of the chain.
 
     Attributes:
-        order: Shape (n,), integers. Index of each of ``robot.joint_names`` in Pinocchio's configuration, which has `size` places.
-        followers: Of each joint that follows one of the chain: its index in Pinocchio's configuration, that of its leader there,
-            the factor and the offset [rad] or [m].
+        order: Shape (n,). Index of each of ``robot.joint_names`` in Pinocchio's configuration, which has `size` places.
+        followers: Of each joint that follows: its index there, its leader's, factor and offset [rad] or [m].
         link_joints: The joint that moves each link; 0: nothing does.
-        strokes: Shape (size,). Largest absolute value of each joint, Pinocchio's order [rad] or [m].
+        strokes: Shape (size,). Largest absolute value of each joint [rad] or [m].
     """
 
     def __init__(self, robot: RobotModel):
@@ -262,10 +252,10 @@ def scene_geometry(item: SceneObject) -> coal.CollisionGeometry:
 
 
 def scene_shapes(item: SceneObject) -> ObjectShapes:
-    """Return the shapes of which a scene object consists: what the planner and the simulation check contacts with.
+    """Return the shapes of a scene object with which contacts are checked, in planner and simulation.
 
-    A closed mesh is solid; one that is not convex becomes convex pieces (`convex_pieces`) that reach at most 5 mm beyond it. What
-    cannot be divided so stays a surface: an arm completely inside it is not in contact with it.
+    A closed mesh is solid; one that is not convex becomes convex pieces that reach at most 5 mm beyond it. What cannot be divided
+    so stays a surface: an arm completely inside it is not in contact with it.
     """
     whole = scene_geometry(item)
     if not isinstance(whole, coal.BVHModelBase):
@@ -373,8 +363,7 @@ def measured(
 ) -> coal.DistanceResult:
     """Return the distance of two shapes, with the points where they are closest.
 
-    Where Coal knows no depth, the first shape is moved by up to 0.1 mm, which the distance then is wrong by at most: it is told as
-    that much smaller.
+    Where Coal knows no depth, the first shape is moved by up to 0.1 mm, which is subtracted.
     """
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     request.gjk_tolerance = _GJK_TOLERANCE

@@ -1,7 +1,6 @@
-"""Contacts and distances of the arm with itself and with everything in the scene, by Pinocchio and Coal.
+"""Contacts and distances of the arm with itself and with a scene, by Pinocchio and Coal.
 
-Joint values in rad (m for prismatic joints), in the order of ``robot.joint_names``; points in the robot's base_link [m].
-A world belongs to one scene; a changed scene needs a new world (`CollisionWorld.with_scene`).
+Joint values in rad, m for prismatic joints, in the order of ``robot.joint_names``; points in the robot's base_link [m].
 """
 
 from __future__ import annotations
@@ -36,21 +35,15 @@ _GROUP = 8
 
 
 class CollisionWorld:
-    """A robot among the objects of a scene.
+    """A robot among the objects of a scene; not for use from several threads at once.
 
-    Checked are: links against links, without the pairs that `self_collision` leaves out (contact: distance 0 or less);
-    moving links against objects, and carried objects against standing ones (contact: distance within the scene's padding
-    plus the larger padding of the objects); carried objects against links, without those that move with them. Not
-    checked are an object and what it names in `touch`. Links and objects that do not move are not checked against each
-    other: the pedestal stands on the floor. With more than `MANY_BODIES` bodies, standing objects that the arm cannot reach are
-    left out of all checks and clearances: a building beyond it costs nothing. A motion among so many is checked against the
-    standing objects whose boxes it comes near; the others cannot touch it.
+    Checked are: links against links, without the pairs of `self_collision` (contact: distance 0 or less); moving links against
+    objects, and carried objects against standing ones (contact: within the scene's padding plus the larger padding of the objects);
+    carried objects against links that do not move with them. Not checked: an object and what it names in `touch`, and what stands
+    against what stands. With more than `MANY_BODIES` bodies those out of the arm's reach are left out, and of a motion those that
+    it does not come near.
 
-    Not for use from several threads at once: it works in buffers of its own.
-
-    Args:
-        own: All bodies of robot and scene, or some of them.
-        only: Nothing but these pairs is checked.
+    `own`: all bodies of robot and scene, or some of them. `only`: nothing but these pairs is checked.
     """
 
     def __init__(
@@ -76,10 +69,9 @@ class CollisionWorld:
         return CollisionWorld(self._robot_bodies, scene, self.self_collision, obstacles=self._obstacles)
 
     def touching_world(self) -> CollisionWorld | None:
-        """Return a world in which only the pairs are checked that `touch` leaves out here; None: there are none.
+        """Return a world in which only the pairs are checked that `touch` leaves out here, without padding; None: there are none.
 
-        Its padding is nothing: two bodies are in contact when one is in the other, and `clearance_of` tells how deep. For whoever
-        lets bodies touch on purpose, and wants to know that they do no more than that.
+        Its `clearance_of` tells how deep bodies are in each other that touch on purpose.
         """
         pairs = touching_pairs(self._own)
         if not pairs:
@@ -93,8 +85,8 @@ class CollisionWorld:
     def with_neighbour(self, obstacles: Iterable[Obstacle], alone: bool = False) -> CollisionWorld:
         """Return a world with the same robot and scene, and another arm in it; the scene's version stays the same.
 
-        Moving links and carried objects are checked against its bodies (contact: distance within the scene's padding plus the
-        obstacle's). Bodies that do not move are not checked. `alone`: Check nothing but that.
+        Its bodies are checked against moving links and carried objects (contact: within the scene's padding plus the obstacle's).
+        `alone`: nothing but that is checked.
         """
         only: list[tuple[int, int, float]] | None = [] if alone else None
         return CollisionWorld(self._robot_bodies, self.scene, self.self_collision, self._own, tuple(obstacles), only)
@@ -233,19 +225,18 @@ class CollisionWorld:
         return world._checks.first_blocked(qs)
 
     def clearance(self, q: JointValues, changing: bool = False) -> Clearance:
-        """Return the smallest distance of a checked pair; the padding is not subtracted; inf if no pair is checked.
+        """Return the smallest distance of a checked pair, padding not subtracted; inf if no pair is checked.
 
-        `changing`: Only of pairs whose distance some joint changes. A link that turns about an upright axis stays as far from the
-        floor as it is: that tells nothing of a pose or a plan.
+        `changing`: Only of pairs whose distance some joint changes: the others tell nothing of a pose or a plan.
         """
         return self._checks.clearance(q, changing)
 
     def first_contact(self, qs: np.ndarray) -> tuple[float, Contact] | None:
         """Return where a motion through rows, shape (m, n), first touches something, and what; None: it does not, anywhere.
 
-        Each joint goes evenly from one row to the next; 3.5 is half way from row 3 to row 4. What is found free is free by a bound
-        of how far the bodies move, not by samples: nothing comes closer than its margin by more than half of
-        `distance_bounds.RESOLUTION` (0.01 mm).
+        Each joint goes evenly from one row to the next; 3.5 is half way from row 3 to row 4. Free is free by a bound of how far the
+        bodies move, not by samples: nothing comes closer than its margin by more than half of `distance_bounds.RESOLUTION` (0.01
+        mm).
         """
         world = self._near_motion(qs, 0.0)
         found, doubtful = world._checks.first_contact(self._robot_bodies.rows(qs))
@@ -260,8 +251,7 @@ class CollisionWorld:
     def clearance_of(self, qs: np.ndarray, changing: bool = False) -> tuple[Clearance, float]:
         """Return the smallest distance over a motion, also between its rows, and its place as of `first_contact`.
 
-        It is as from `clearance`, within 1e-4 m or a hundredth of it, whichever is more; its time is 0. Successive rows should be
-        close to each other: then only few distances need to be measured, see `distance_bounds`.
+        As `clearance` within 1e-4 m or a hundredth of it, whichever is more; its time is 0. Close rows need few measurements.
         """
         gap = _NEAR
         while True:

@@ -1,7 +1,7 @@
-"""A closed body as convex pieces that hold it: the same for planner, simulation and elements of a building. Metres.
+"""A closed body as convex pieces that hold it: for planner, simulation and elements of a building. Metres.
 
-A body of flat faces is cut exactly by planes of its own faces, any other is held by hulls of its parts: that holds it whatever the
-planes. That the pieces have all of its volume is calculated, how far they reach beyond it is measured at points.
+A body of flat faces is cut exactly by planes of its own faces, any other is held by hulls of its parts. That the pieces have all of
+its volume is calculated, how far they reach beyond it is measured at points.
 """
 
 from __future__ import annotations
@@ -54,8 +54,7 @@ class ConvexPieces:
     Attributes:
         corners: Of each piece, shape (k, 3) [m].
         reach: How far they reach beyond the mesh, measured at its faces [m].
-        whole: What the mesh encloses as vertices, shape (v, 3) [m], and triangles, shape (t, 3), counterclockwise seen from
-            outside; None: the pieces are exactly that, without overlaps.
+        whole: Vertices and triangles of what the mesh encloses; None: the pieces are exactly that, without overlaps.
     """
 
     corners: tuple[np.ndarray, ...]

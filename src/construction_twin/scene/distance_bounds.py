@@ -1,8 +1,7 @@
-"""The smallest of many distances on a motion, and the first contact, found without measuring all of them.
+"""The smallest of many distances on a motion, and the first contact, without measuring all of them.
 
-Between two poses the distance of two bodies changes by at most the motion of the bodies, which bounds the distances between two
-measured poses: in all rows between them, and in all that lies between two rows. Metres and radians; rows of joint values in
-Pinocchio's order.
+Between two poses a distance changes by at most the motion of the bodies, which bounds it between two measured poses. Metres and
+radians; rows of joint values in Pinocchio's order.
 """
 
 from __future__ import annotations
@@ -125,14 +124,12 @@ class Motion:
     def first_contact(
         self, margins: np.ndarray, touches: Callable[[float, int], bool]
     ) -> tuple[tuple[float, int] | None, np.ndarray]:
-        """Find where two bodies first touch, which they do at their margin, shape (p,) [m], if ``touches(place, pair)`` agrees.
+        """Find where two bodies first come to their margin, shape (p,) [m], if ``touches(place, pair)`` agrees.
 
         Returns:
-            first: Place and pair; None: none do anywhere on the motion. No contact is earlier, except one during which no point
-                of a pair moves further than `RESOLUTION`: two bodies then come closer than the margin by no more than half of
-                that.
-            doubtful: Shape (k,), ascending. The rows before `first`, or of the whole motion without one, in which a pair is at its
-                margin, and neither bound nor measurement decides: the caller asks each.
+            first: Place and pair; None: none do. No contact is earlier, except one during which no point of a pair moves further
+                than `RESOLUTION`: the bodies then are closer than the margin by at most half of that.
+            doubtful: Shape (k,). Earlier rows in which a pair is at its margin, and neither bound nor measurement decides.
         """
         first: tuple[float, int] | None = None
         asked, beside = 0, []
@@ -173,9 +170,9 @@ class Motion:
 class _Gaps:
     """Stretches of a motion between two places, each of one of `pairs`, at first one of each from 0 to the last row.
 
-    At both ends a lower bound of the distance is kept, and the travel of the pair up to there. Between the ends the distance is
-    nowhere smaller than half of what is left of both when the travel between them is taken off. `distances`, `moved`: Shape (2, p).
-    At the first and the last row [m].
+    At both ends a lower bound of the distance is kept, and the travel of the pair up to there: between them the distance is nowhere
+    smaller than half of what is left of both when the travel between is taken off. `distances`, `moved`: shape (2, p), at both ends
+    [m].
     """
 
     def __init__(self, last: float, distances: np.ndarray, moved: np.ndarray):

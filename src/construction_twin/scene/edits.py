@@ -1,7 +1,6 @@
-"""The edits of a scene at run time, kept in a file: a scene node that restarts within the same run continues with them.
+"""The edits of a scene at run time, in a file: a scene node that restarts within the same run continues with them.
 
-The file holds the whole scene after the last edit, not the single edits. It belongs to one run and to one initial scene. Numbers
-are those of `SceneObject`, to the last bit; metres.
+The file holds the whole scene after the last edit, for one run and one initial scene.
 """
 
 from __future__ import annotations

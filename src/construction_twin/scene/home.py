@@ -1,7 +1,4 @@
-"""Finds a home pose for an arm that nobody has described yet: free of contact, inside the ranges, not singular, in round numbers.
-
-Joint values in rad, or m for prismatic joints, in the order of ``robot.joint_names``.
-"""
+"""A home pose for an arm that nobody has described yet: free of contact, inside the ranges, not singular, in round numbers."""
 
 from __future__ import annotations
 
@@ -36,8 +33,8 @@ class Home:
 def find_home(world: CollisionWorld, rng: np.random.Generator) -> Home:
     """Find a home pose: the best of many that has enough clearance.
 
-    Preferred are poses far from singularities and from the ends of the ranges, with the tool in front of the base and looking down,
-    in which most joints stand at zero.
+    Preferred are poses far from singularities and ends of ranges, the tool in front of the base and looking down, most joints at
+    zero.
     """
     robot = world.robot
     chain = Chain(robot)

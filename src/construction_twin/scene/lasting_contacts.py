@@ -18,11 +18,7 @@ POSES = 100
 class LastingContact:
     """An object that stands in the world, and a link that touches it whatever the joints do.
 
-    Attributes:
-        distance: At home [m]; negative: by how much they overlap.
-        margin: Distance that a moving link must keep [m]; 0 for a link that no joint moves.
-        moves: Whether a joint moves the link. Such a pair is checked, so that nothing can be planned; with a base it is not
-            checked.
+    `distance` at home and `margin` of a moving link [m]; a base, which no joint `moves`, is not checked.
     """
 
     name: str

@@ -1,7 +1,4 @@
-"""Triangles from STL and OBJ files, by trimesh: what Coal builds from them is safe only when every number is checked.
-
-Vertices in the file's own unit; a scale makes them metres.
-"""
+"""Triangles from STL and OBJ files, by trimesh: what Coal builds from them is safe only when every number is checked."""
 
 from __future__ import annotations
 

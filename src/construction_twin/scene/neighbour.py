@@ -1,11 +1,8 @@
 """Another arm as an obstacle: its shapes where it stands, and along the path of a plan.
 
-A path is represented by copies of each body at selected poses, each with a padding that covers the poses between. Two successive
-copies are at most `STEP` apart, measured as the longest path that any point of the body can have travelled between them; so
-every pose between them is within half of that distance of one of the two, and the padded copies contain the whole path.
-
-Metres; poses of obstacles in the root of the URDF of the robot that must not touch them, where Pinocchio has its world. Joint
-values in rad (m for prismatic joints), in the order of the other robot's ``joint_names``.
+A path is represented by padded copies of each body, two successive ones at most `STEP` apart by the longest path of any of its
+points: every pose between them is within half of that of one of the two. Metres; poses in the root of the URDF of the robot that
+must not touch them; joint values in the order of the other robot's ``joint_names``.
 """
 
 from __future__ import annotations

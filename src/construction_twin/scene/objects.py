@@ -1,7 +1,6 @@
 """The surroundings of the arm: obstacles, tools, workpieces. A scene is immutable: every change makes a new one with a new hash.
 
 Metres; poses in the robot's base_link, or in the link that carries the object.
-Contacts are computed in `scene.collision_world`; scenes are read from YAML in `scene.scene_yaml`.
 """
 
 from __future__ import annotations
@@ -82,18 +81,15 @@ class SceneObject:
     """One body. The fields are those of ``msg/SceneObject``, checked.
 
     Attributes:
-        shape: ``box``, ``cylinder``, ``sphere`` or ``mesh``.
-        size: [m] box: x, y, z; cylinder (about its z axis, centred): radius, length; sphere: radius; mesh: scale x, y, z (empty: 1,
-            1, 1).
-        position: Length 3. Of the object's frame in the base_link, or in `link` [m].
-        quaternion: Length 4. x, y, z, w, of unit length.
+        size: [m] box: x, y, z; cylinder (about its z axis, centred): radius, length; sphere: radius; mesh: scale x, y, z.
+        position, quaternion: In the base_link, or in `link` [m]; x, y, z, w.
         padding: Distance to keep from it [m], added to the scene's own.
-        mesh: Absolute path of an STL or OBJ file; empty for other shapes.
-        link: Link that carries it; empty: it stands in the world.
-        touch: Links and other objects of the scene that may touch it, besides the link that carries it; sorted. A link's name also
-            stands for what that link carries. Enough if one of two objects names the other.
+        mesh: Absolute path of an STL or OBJ file.
+        link: Link that carries it; "": it stands in the world.
+        touch: Links and objects that may touch it, besides the link that carries it; a link stands for what it carries, too. Enough
+            if one of two objects names the other.
         fixed: It stays when the scene is cleared. No part of the hash.
-        mesh_digest: SHA-256 of the mesh file, read when the object is made.
+        mesh_digest: SHA-256 of the mesh file.
     """
 
     name: str

@@ -1,7 +1,4 @@
-"""The pairs of bodies that must not touch, and the questions to Pinocchio and Coal about them.
-
-Joint values as those of `collision_world`; rows of them in Pinocchio's order.
-"""
+"""The pairs of bodies that must not touch, and the questions to Pinocchio and Coal about them."""
 
 from __future__ import annotations
 

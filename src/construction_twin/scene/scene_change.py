@@ -1,7 +1,4 @@
-"""Several changes of a scene as one: objects that go, then objects that come, with the scenes before and after named by their hash.
-
-Where a workpiece of several bodies is gripped or put down, no scene in between is one that anybody planned for. Metres.
-"""
+"""Several changes of a scene as one: no scene in between is one that anybody planned for. Metres."""
 
 from __future__ import annotations
 
@@ -13,13 +10,10 @@ from construction_twin.scene.objects import Scene, SceneObject, names_text
 
 @dataclass(frozen=True)
 class SceneChange:
-    """What goes and what comes.
+    """What goes, by name, and what comes then, link and touch included.
 
-    Attributes:
-        put: Added, or put in the place of the object of that name, as a whole: link and touch included. In the place of a fixed
-            object it is fixed, too.
-        remove: Names of what goes first. One of them may come again in `put`: it is then another object, which nothing may touch
-            yet.
+    In `put` an object of a present name takes its place, fixed if that was; of a name in `remove` it is another one, which nothing
+    may touch yet.
     """
 
     put: tuple[SceneObject, ...] = ()

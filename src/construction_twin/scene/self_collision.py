@@ -1,9 +1,7 @@
 """The pairs of a robot's links that need no collision check, and why. Found by sampling, kept in a YAML file.
 
-A pair is left out when it is ``adjacent`` (held by one joint, or by two joints with one origin, like A5 and A6 in a
-spherical wrist, see `adjacent_links`: their ranges keep the castings apart), when it was ``always`` in contact in the sampled poses
-(then the shapes overlap and a check is useless), or when it was ``never`` in contact nor close to it. The file carries a hash of
-the geometry that it was made from, and is refused for any other geometry.
+A pair is left out when it is ``adjacent`` (`adjacent_links`), ``always`` in contact in the sampled poses (then the check is
+useless), or ``never`` in contact nor close to it. The file is refused for any other geometry than the one whose hash it carries.
 """
 
 from __future__ import annotations
@@ -56,11 +54,9 @@ def read_pairs(path: str | Path) -> PairFile:
 
 
 def adjacent_links(bodies: RobotBodies) -> set[frozenset[str]]:
-    """Return the pairs of links that one joint holds which moves, or two joints with one origin, like A5 and A6 of the KR 120, or a
-    joint together with those that follow it.
+    """Return the pairs of links held by one moving joint, two with one origin (A5 and A6), or one with those that follow it.
 
-    Their ranges keep the castings apart; shapes that enclose them overlap. Held are the nearest links with a shape on both sides of
-    the joint, not what else is fixed to them. A joint and the mimic joints that follow it are a linkage that a URDF cannot close.
+    Their ranges keep the castings apart; shapes that enclose them overlap. Held are the nearest links with a shape on both sides.
     """
     urdf = parse_urdf(bodies.robot.urdf)
     chain = set(bodies.model.names)

@@ -1,7 +1,4 @@
-"""Closed bodies by manifold3d: from triangles, their connected parts, unions. Metres.
-
-A body that is not closed has no inside, and is none here.
-"""
+"""Closed bodies by manifold3d: from triangles, their connected parts, unions. Metres."""
 
 from __future__ import annotations
 
