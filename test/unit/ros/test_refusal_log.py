@@ -33,7 +33,6 @@ def test_every_stream_of_a_bag_is_named_once_however_many_come_together(log, clo
         clock[0] += PERIOD // 100
         written += [topic for topic in ("sync", "link", "plan") if log.admit("publisher", sentence(topic)) == ""]
     assert written == ["sync", "link", "plan"]
-    assert log.strangers() == {sentence(topic): 100 for topic in written}
     # another bag is another stranger
     assert log.admit("publisher", sentence("sync", "/play_2")) == ""
 
@@ -48,7 +47,7 @@ def test_other_reasons_do_not_hide_each_other(log, clock):
 
 def test_strangers_without_end_fill_no_memory_and_no_log(log, clock):
     written = sum(log.admit("publisher", sentence("sync", f"/play_{k}")) is not None for k in range(10 * MAX_STRANGERS))
-    assert written == MAX_STRANGERS + 1 and len(log.strangers()) == MAX_STRANGERS
+    assert written == MAX_STRANGERS + 1
 
 
 def test_a_program_without_diagnostics_says_it_with_its_name(monkeypatch):

@@ -15,9 +15,8 @@ from visualization_msgs.msg import InteractiveMarker, InteractiveMarkerFeedback
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.ros.messages.services import Outcome
-from construction_twin.ros.nodes.tool_marker import MarkerServer
-from construction_twin.ros.shared import tool_marker_menu as module
-from construction_twin.ros.shared.tool_marker_menu import REACHED, SHOWN, ToolMarkerMenu, moved
+from construction_twin.ros.nodes import tool_marker as module
+from construction_twin.ros.nodes.tool_marker import REACHED, SHOWN, MarkerServer, ToolMarkerMenu, moved
 
 
 class Client:
@@ -53,12 +52,7 @@ class World:
         monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: self.now))
         self.client = Client()
         self.menu = ToolMarkerMenu(
-            self.client,
-            lambda: self.plan,
-            ROBOT.home,
-            "Ada",
-            self.said.append,
-            run=lambda _, action: action(),
+            self.client, lambda: self.plan, ROBOT.home, "Ada", self.said.append, run=lambda _, action: action()
         )
 
     def show(self, plan) -> None:

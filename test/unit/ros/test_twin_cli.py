@@ -53,10 +53,7 @@ def test_a_port_without_anybody_is_no_master(monkeypatch):
         connect(monkeypatch, f"http://127.0.0.1:{port}")
 
 
-@pytest.mark.parametrize(
-    "command, executor",
-    [(["show"], "never started"), (["approve", "--yes"], "hangs")],
-)
+@pytest.mark.parametrize("command, executor", [(["show"], "never started"), (["approve", "--yes"], "hangs")])
 def test_an_executor_that_is_down_is_told_without_waiting_for_it(monkeypatch, command, executor):
     """The time that is given for the system is an hour: it is not used."""
     monkeypatch.setenv("ROS_IP", "127.0.0.1")

@@ -57,7 +57,8 @@ class Experiment(CellDriver):
     def run(self) -> Report:
         """Run everything; see the module."""
         results = Path(self._settings.results_dir).expanduser()
-        directory = _new_directory(results)
+        directory = results / time.strftime("%Y-%m-%d_%H-%M-%S")
+        directory.mkdir(parents=True)
         self.wait_until_ready()
         bag = directory / "experiment.bag"
         with self.recording(bag, self._settings.topics):
@@ -84,36 +85,19 @@ class Experiment(CellDriver):
             mine = self.execution.plan_id == plan_id
             return mine and bool(self.execution.state == Execution.PLAYING or self.execution.outcome)
 
+        def ended() -> Execution | None:
+            now = self.execution
+            return now if now.plan_id != plan_id or now.state in (Execution.WAITING, Execution.IDLE) else None
+
         approval = f"plan {plan_id} to be approved ({rospy.resolve_name('review_plan')})"
         self.print_line(f"waiting for {approval}")
         self.wait(started, lambda: approval)
-        end = self._follow(plan_id, title)
+        rest = time.monotonic() + self.execution.duration + self._settings.timeout
+        end = self.wait(ended, lambda: f"the end of {title}; is the executor alive?", rest)
         if end.plan_id != plan_id:
             raise ConstructionTwinError(f"plan {plan_id} was replaced by {end.plan_id} before it was finished")
         if end.outcome != "finished":
             raise ConstructionTwinError(f"the plan was not finished but {end.outcome or 'dropped'}: {end.reason}")
-
-    def _follow(self, plan_id: str, title: str) -> Execution:
-        """Print the progress of a plan, a line for each tenth, until it ends; return the executor's report of that."""
-        printed = -1
-
-        def ended() -> Execution | None:
-            nonlocal printed
-            now = self.execution
-            if now.plan_id != plan_id or now.state in (Execution.WAITING, Execution.IDLE):
-                return now
-            played = rospy.get_time() - now.plan_start.to_sec()
-            if (tenth := min(9, int(10.0 * played / now.duration))) > printed:
-                printed = tenth
-                self.print_line(f"{title}: {10 * tenth} %")
-            return None
-
-        rest = self.execution.duration + self._settings.timeout
-        end = self.wait(ended, lambda: f"the end of {title}; is the executor alive?", time.monotonic() + rest)
-        assert end is not None  # `wait` returns what is true
-        if end.outcome == "finished":
-            self.print_line(f"{title}: 100 %")
-        return end
 
     def _wait_for_rest(self) -> None:
         # a stream of 250 Hz is only listened to while it matters: the machine's cores belong to the control path
@@ -163,15 +147,3 @@ def main() -> int:
     render_tables(report.summary, console)
     print_files(console, report.files)
     return 0
-
-
-def _new_directory(results: Path) -> Path:
-    name = time.strftime("%Y-%m-%d_%H-%M-%S")
-    for suffix in ("", *(f"_{number}" for number in range(2, 100))):
-        directory = results / (name + suffix)
-        try:
-            directory.mkdir(parents=True)
-        except FileExistsError:
-            continue
-        return directory
-    raise ConstructionTwinError(f"{results} already holds a hundred results of this second")

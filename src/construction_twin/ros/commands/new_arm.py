@@ -174,7 +174,7 @@ def _write_files(options: argparse.Namespace, command: str) -> list[str]:
     _check_folder(folder, files, options.force)
     shipped = share_file("config/scene.yaml")
     described = {"ethernet_xml": make.file.write([axis.name for axis in robot.axes])} if make.file else {}
-    # what the gateway would refuse is told before the long part
+    # what the gateway would refuse comes before the long part
     cycle = min(make.cycles)
     settings = yaml.safe_load(read_text(share_file("config/gateway.yaml"))) | {"cycle": cycle, "make": make.name}
     gateway_config(robot, settings | described)

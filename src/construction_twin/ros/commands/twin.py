@@ -185,7 +185,7 @@ class Command:
         return Exit.DONE
 
     def _rehearsal(self) -> Exit:
-        """Show what the rehearsal of the newest plan has found; one that did not pass is told by the exit code."""
+        """Show what the rehearsal of the newest plan has found; the exit code is 0 if it passed."""
         to_do = "have a motion planned, or see on /diagnostics why there is no rehearsal"
         message = self._client.latched("rehearsal", Rehearsal, "no plan was rehearsed yet", to_do)
         return Exit.DONE if _print_report(message).state == "passed" else Exit.REFUSED

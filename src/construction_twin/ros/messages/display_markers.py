@@ -272,7 +272,7 @@ def _ghost(report: RehearsalReport, shapes, link_pose, carried: Sequence[SceneOb
 
 
 def _column(axis: AxisLoad, foot: tuple[float, float], arm_length: float, frame: str, number: int) -> list[Marker]:
-    """Return an axis' column inside of its limit, and its text; of an axis whose limit nobody knows the text alone."""
+    """Return an axis' column inside of its limit, and its text; of an axis with an unknown limit the text alone."""
     name, full, width = axis_name(axis.joint), HEIGHT * arm_length, WIDTH * arm_length
     if not axis.limit:
         return [_above((*foot, 0.0), f"{name} {axis.peak:.0f} Nm", frame, number, DARK, "rehearsal_axes")]

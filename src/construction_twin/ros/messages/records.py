@@ -42,7 +42,7 @@ def with_sentences(message: Any, *parts: object) -> Any:
 
 
 def sentence_of(message: genpy.Message, text: str) -> str:
-    """Return a text of a message, as the sentence that the message has told of where it is one."""
+    """Return a text of a message, as a `Sentence` where the message carries its template."""
     return _sentences_of(message).get(text, text)
 
 

@@ -75,7 +75,7 @@ class Settings(PrivateSettings):
 
 
 class ShownPoses(Generic[Shown]):
-    """Takes one pose after the other."""
+    """Selects which poses of a stream are shown."""
 
     def __init__(self):
         self._names: tuple[str, ...] = ()

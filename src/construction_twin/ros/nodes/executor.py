@@ -124,12 +124,12 @@ class ExecutorNode:
     # -- subscriptions: a PayloadError is counted as refused (`transport.subscriber`)
 
     def on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Take the twin's pose [rad] with its stamp [ns]."""
+        """Store the twin's pose [rad] with its stamp [ns]."""
         with self._lock:
             self.executor.on_twin(stamp, q, time.monotonic_ns())
 
     def on_sync(self, message: msg.Sync) -> None:
-        """Take what the monitor says; what it does not say for `SYNC_TIMEOUT` counts as closed."""
+        """Store the gate's state; after `SYNC_TIMEOUT` of silence it counts as closed."""
         try:
             state = SyncState(message.state)
         except ValueError as error:
@@ -140,25 +140,25 @@ class ExecutorNode:
             self.executor.limit.on_lag(message.round_trip, message.servo_lag)
 
     def on_limit(self, message: msg.SpeedLimitInForce) -> None:
-        """Take the speed limit in force."""
+        """Store the speed limit in force."""
         with self._lock:
             reason = sentence_of(message, message.reason)
             self._limit.accept(message.limit, caller_of(message), time.monotonic_ns(), sentence=reason)
 
     def on_scene(self, message: msg.Scene) -> None:
-        """Take the scene for which plans may be approved."""
+        """Store the scene for which plans may be approved."""
         with self._lock:
             self.executor.on_scene(message.hash)
 
     def on_conflict(self, message: msg.Conflict) -> None:
-        """Take a verdict on the other arm."""
+        """Store a verdict on the other arm."""
         problem = sentence_of(message, message.reason) if message.conflict else ""
         with self._lock:
             self._approval.neighbour.on_verdict(message.plan_id, problem, time.monotonic_ns())
             self.executor.on_conflict(message.plan_id, problem)
 
     def on_rehearsal(self, message: msg.Rehearsal) -> None:
-        """Take what the rehearsal of a plan has found."""
+        """Store the report of a rehearsal."""
         report = from_msg(RehearsalReport, message)
         if not is_whole(report):
             raise PayloadError("rehearsal", f"the rehearsal of plan {report.plan_id!r} is not what its hash says")
@@ -166,20 +166,20 @@ class ExecutorNode:
             self._approval.rehearsal.on_report(report)
 
     def on_plan(self, message: msg.Plan) -> None:
-        """Take a plan to be reviewed."""
+        """Put a plan under review."""
         try:
             self._approval.offer(plan_from_msg(message))
         except ConstructionTwinError as error:
             self._diagnostics.refuse("plan", str(error))
 
     def on_tool(self, message: msg.ToolState) -> None:
-        """Take what is known of the tool."""
+        """Store the tool's state."""
         report = tool_report_from_msg(message)
         with self._lock:
             self.executor.on_tool(report, time.monotonic_ns())
 
     def on_link(self, message: msg.Link) -> None:
-        """Take the link's state, and who is responsible for what is not checked."""
+        """Store the link's state, and who is responsible for what is not checked."""
         reason = Sentence("{state}: {reason}", state=message.text, reason=sentence_of(message, message.reason))
         with self._lock:
             self.executor.on_link(message.state == msg.Link.ARMED, reason, message.session, self._now())
@@ -208,7 +208,7 @@ class ExecutorNode:
             request.rehearsal_hash if request.override_rehearsal else None,
         )
         if verdict.approved:
-            # a rejection is told with what the executor decides by itself
+            # a rejection is published with what the executor decides by itself
             self._publish_verdict(verdict)
         else:
             # what was answered is on record, also where the node ends before its next cycle
@@ -250,7 +250,7 @@ class ExecutorNode:
         raise PayloadError("act", f"{request.act!r} is nothing that is done here")
 
     def on_release(self, request: srv.ReleaseEngagementRequest) -> str:
-        """Take a person's word that the arm was freed."""
+        """Release the engagement by a person's word that the arm was freed."""
         sentence = self._approval.release(request.person.strip(), request.reason.strip())
         return self._log_answer("release_engagement", sentence, rospy.logwarn)
 
@@ -310,9 +310,9 @@ class ExecutorNode:
         self._publish("review", message)
 
     def _publish_changes(self) -> None:
-        """Publish and note what has changed, on the cycle's thread: nothing here waits for a disk or a terminal.
+        """Publish and log what has changed, on the cycle's thread: nothing here waits for a disk or a terminal.
 
-        From a safety act until it has been told, and the arm rests, no part of this can end the node.
+        From a safety act until it is published, and the arm rests, no part of this can end the node.
         """
         executor = self.executor
         with self._lock:

@@ -119,7 +119,7 @@ class MqttBridge:
         self._client.loop_stop()
 
     def write_log(self) -> None:
-        """Write what is to be said, and what has failed: not for the poll, which waits for no disk and no terminal."""
+        """Flush the log queue and the failures of side effects (timer thread only)."""
         self._side_effects.run("the log", self._log.flush)
         self._side_effects.write(rospy.logerr)
 
@@ -173,7 +173,7 @@ class MqttBridge:
         self._decide(self._bridge.on_speed_limit, message.limit, time.monotonic_ns())
 
     def on_tool_command(self, message: ToolCommand) -> None:
-        """Take a switch, or the request that none of those that are armed fires."""
+        """Arm a switch, or void those that are armed."""
         if message.verb == ToolCommand.VOID:
             self._decide(self._bridge.void_switches)
         elif message.verb == ToolCommand.ARM:
@@ -184,12 +184,12 @@ class MqttBridge:
         self._publish_tool()
 
     def on_execution(self, message: Execution) -> None:
-        """Take which plan is played."""
+        """Store which plan is played."""
         with self._lock:
             self._bridge.played = message.plan_id
 
     def on_sync(self, message: Sync) -> None:
-        """Take what the monitor says of its gate."""
+        """Void switches when the gate closes."""
         self._decide(self._bridge.on_gate, message.state == Sync.IN_SYNC)
 
     # -- MQTT to ROS
@@ -201,12 +201,12 @@ class MqttBridge:
             return self._topics.bridge_status, self._bridge.status(), True
 
     def on_disconnect(self) -> None:
-        """Take the end of the connection."""
+        """Store that the connection is lost."""
         with self._lock:
             self._supervisor.inputs.on_connection(False)
 
     def on_state(self, payload: bytes, pairs: list[tuple[str, str]], retained: bool) -> None:
-        """Take the arm's pose, as a joint string with its user properties."""
+        """Publish the arm's pose of a joint string with its user properties."""
         received, now = now_ns(), time.monotonic_ns()
         try:
             q, properties = self._strings.decode_state(payload, pairs, retained, now)
@@ -222,11 +222,11 @@ class MqttBridge:
         self._physical.publish(received, q)
 
     def on_status(self, payload: bytes) -> None:
-        """Take the gateway's status, or a bare PLC's word; one that cannot be read is refused as a whole."""
+        """Handle the gateway's status, or a bare PLC's word; an unreadable one is refused as a whole."""
         self._handle_document(parse_status, payload, self._bridge.on_status)
 
     def on_answer(self, payload: bytes) -> None:
-        """Take the gateway's answer to a control message."""
+        """Handle the gateway's answer to a control message."""
         self._handle_document(parse_answer, payload, self._bridge.on_answer)
 
     def _handle_document(

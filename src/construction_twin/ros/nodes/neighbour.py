@@ -67,12 +67,6 @@ class NeighbourSettings(NodeSettings):
     padding: Annotated[float, pydantic.Field(ge=0.01, le=10.0)]
 
 
-def neighbour_settings() -> NeighbourSettings | None:
-    """Return the settings of the node's own robot; None for a robot alone. Raises like `settings_of`."""
-    values = rospy.get_param("neighbour", None)
-    return None if values is None else settings_of(NeighbourSettings, values, rospy.resolve_name("neighbour"))
-
-
 class Claim(NamedTuple):
     """What an arm has from a plan's approval to its end, since its first setpoint [ns] (inf before); the smaller one goes first."""
 
@@ -89,7 +83,7 @@ def plan_rows(plan: Plan) -> tuple[np.ndarray, np.ndarray]:
     return times, trajectory.sample_many(times)[0]
 
 
-#: What is heard of an arm, and the poses that are asked for: without a physical arm the first one alone.
+#: Subscribed topics of an arm, and its polled poses: without a physical arm the first one alone.
 ARM_TOPICS = {"plan": msg.Plan, "execution": msg.Execution, "scene": msg.Scene}
 ARM_POSES = ("twin/joint_states", "physical/joint_states")
 
@@ -223,7 +217,7 @@ def await_robot(name: str) -> None:
     space = f"{rosgraph.names.namespace(rospy.get_namespace())}{name}"
     needed = (f"{space}/robot_description", f"{space}/executor/arm")
     if not all(map(rospy.has_param, needed)):
-        rospy.logwarn("waiting for %s, the other robot of the cell: nobody has launched it", space)
+        rospy.logwarn("waiting for %s, the other robot of the cell, which is not launched", space)
     while not all(map(rospy.has_param, needed)):
         rospy.sleep(0.5)
 
@@ -237,6 +231,17 @@ def listen_to_other_arm(own: str, settings: NeighbourSettings, refused: Refuse) 
     topics = ARM_POSES[:1] if rospy.get_param(f"{space}/executor/arm", "") == "none" else ARM_POSES
     poses = tuple(LatestPose(f"{space}/{topic}", robot.joint_names, refused) for topic in topics)
     return OtherArm(ArmListener(robot, above, refused), poses, arm)
+
+
+def neighbour_obstacles(robot: RobotModel, refuse: Refuse) -> Callable[[], list[Obstacle]] | None:
+    """Return what makes obstacles of the cell's other arm, once it is launched; None for a robot alone."""
+    values = rospy.get_param("neighbour", None)
+    if values is None:
+        return None
+    settings = settings_of(NeighbourSettings, values, rospy.resolve_name("neighbour"))
+    await_robot(settings.name)
+    other = listen_to_other_arm(robot.name, settings, refuse)
+    return lambda: [item.padded(settings.padding) for item in other.occupied().obstacles]
 
 
 #: Checks per second. The executor takes a verdict for 0.5 s.

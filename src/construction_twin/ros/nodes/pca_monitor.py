@@ -32,13 +32,7 @@ from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.services import Outcome
 from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, DeferredLog, Diagnosis
-from construction_twin.ros.shared.params import (
-    NodeSettings,
-    SavedParameter,
-    robot_file,
-    ros_home,
-    settings_of,
-)
+from construction_twin.ros.shared.params import NodeSettings, SavedParameter, robot_file, ros_home, settings_of
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.servo.model import read_servos
@@ -78,7 +72,7 @@ class Settings(NodeSettings, GateSettings):
 
 
 class SilenceRules(pydantic.BaseModel):
-    """What executor or gateway is told of a source that falls silent, among their other parameters; see config/executor.yaml."""
+    """Parameters of executor or gateway about a source that falls silent; see config/executor.yaml."""
 
     speed_limit_deadline: float = pydantic.Field(GatewayConfig.speed_limit_deadline, gt=0)
     speed_limit_silent: float = pydantic.Field(GatewayConfig.speed_limit_silent, ge=0, le=1)
@@ -92,7 +86,7 @@ class SpeedLimitService:
     """
 
     def __init__(self, path: Path | None, node_io: shell.NodeIO):
-        # the stricter of what executor and gateway are told holds here; without an arm there is no gateway
+        # the stricter of executor's and gateway's holds here; without an arm there is no gateway
         rule_parameters = {
             name: node_io.parameters[name] for name in ("executor", "gateway") if node_io.parameters[name] is not None
         }
@@ -102,7 +96,7 @@ class SpeedLimitService:
         program = SpeedLimit(deadline, silent, rules[0].speed_limit_required)
         fraction, _, name = node_io.parameters[PROGRAM].partition(" ")
         if name:
-            # a process before this one has heard it: it is silent until it is heard again
+            # a process before this one had a limit of it: silent until it sends again
             program.record(float(fraction), name, time.monotonic_ns() - round(2e9 * deadline) - 1)
         self._saved_program = SavedParameter(node_io.parameters[PROGRAM], node_io.parameter_writer(PROGRAM), PROGRAM)
         people, problem = read_people(path) if path else (NOBODY, "")
@@ -115,7 +109,7 @@ class SpeedLimitService:
         self._lock = threading.Lock()
 
     def on_program(self, message: msg.SpeedLimit) -> None:
-        """Take what a program allows; it is in force at once."""
+        """Put a program's limit in force at once."""
         try:
             with self._lock:
                 self._limits.program.accept(message.limit, caller_of(message), time.monotonic_ns(), message.reason)
@@ -124,7 +118,7 @@ class SpeedLimitService:
             self._refuse(error.reason, str(error))
 
     def on_limit_speed(self, request: srv.LimitSpeedRequest) -> Outcome:
-        """Take what a person sets: a lower limit is in force before anything is written, a higher one is written first."""
+        """Set people's limit: a lower one is in force before anything is written, a higher one is written first."""
         given, limits = (request.limit, request.person, request.moment), self._limits
         try:
             if request.limit > limits.people.limit:
@@ -186,7 +180,7 @@ class PcaMonitorNode:
     """ROS around a Monitor, and beside it the speed limit, which the gate knows nothing of."""
 
     def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
-        # without an arm there is no broker, and nobody could raise what was set before
+        # without an arm there is no broker by which it could be raised again
         has = shell.has_arm(settings)
         limits_file = ros_home() / "construction_twin" / "speed_limits" / f"{robot.name}.json" if has else None
         stopped_in, now = node_io.parameters[STOPPED] if has else "", time.monotonic_ns()
@@ -204,11 +198,11 @@ class PcaMonitorNode:
         self.speed = SpeedLimitService(limits_file, node_io)
         self._lock = threading.Lock()
         self._received_at = 0
-        #: As it was told last; empty: not yet.
+        #: As published last; empty: not yet.
         self._hold: tuple[Cause | None, ...] = ()
         self._changes: deque[Transition] = deque()
         self._log_queue = DeferredLog()
-        # each from making a message until it is out: several threads publish, and the newest state must be the last one heard
+        # each from making a message until it is out: several threads publish, and the newest state must come last
         self._syncing, self._reporting = threading.Lock(), threading.Lock()
 
     # -- the path; all times but those of stamps and reports are monotonic
@@ -241,12 +235,12 @@ class PcaMonitorNode:
             rospy.logerr_throttle(5.0, "%s", self._transitions.fault)
 
     def on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Take the twin's pose [rad] with its stamp [ns]."""
+        """Store the twin's pose [rad] with its stamp [ns]."""
         with self._lock:
             self._gate.on_twin(stamp, q)
 
     def on_feedback(self, received: int, q: tuple[float, ...], seq: int, command_stamp: int) -> None:
-        """Take the arm's pose [rad], when the bridge received it, its number, and which command it answers [ns]."""
+        """Compare the arm's pose [rad]: when the bridge received it, its number, and which command it answers [ns]."""
         now = time.monotonic_ns()
         # what waited in a queue is not fresh because it is read now. Both stamps are taken moments apart: a clock that is
         # set makes a single pose look old, never the ones before it
@@ -263,7 +257,7 @@ class PcaMonitorNode:
             self._expected.publish(received, expected)
 
     def on_link(self, message: msg.Link) -> None:
-        """Take the link's state; a new session restarts the gate."""
+        """Store the link's state; a new session restarts the gate."""
         with self._lock:
             self._monitor.on_link(message.session, message.state == msg.Link.MIRROR, time.monotonic_ns())
             self._collect_changes()
@@ -280,26 +274,26 @@ class PcaMonitorNode:
     # -- the re-plan
 
     def on_plan(self, message: msg.Plan) -> None:
-        """Note where a plan ends, for a re-plan."""
+        """Store where a plan ends, for a re-plan."""
         if not message.trajectory.points:
             self._diagnostics.refuse("plan", f"plan {message.id} has no points; expected at least a start and a goal")
             return
         if message.segments:
-            # its rest is dropped: tool and scene may be in between, so that whoever gave the task plans it anew
+            # its rest is dropped: tool and scene may be in between, so that the task is planned anew
             return
         goal = message.trajectory.points[-1].positions
         with self._lock:
             self._monitor.on_plan(message.id, goal, message.velocity_use, message.acceleration_use)
 
     def on_execution(self, message: msg.Execution) -> None:
-        """Note which plan is played."""
+        """Store which plan is played."""
         executing = message.text if message.state not in (msg.Execution.WAITING, msg.Execution.IDLE) else ""
         playing = message.state == msg.Execution.PLAYING
         with self._lock:
             self._monitor.on_execution(message.plan_id, executing, playing, message.moment)
 
     def _collect_changes(self) -> None:
-        """Collect the gate's transitions, and ask for a plan beside the stream; under the lock, before a change can be heard."""
+        """Collect the gate's transitions, and ask for a plan beside the stream; under the lock, before a change is published."""
         if not self._gate.transitions:
             return
         changes, replan = self._monitor.pop_transitions()
@@ -318,7 +312,7 @@ class PcaMonitorNode:
                 speed_scale=wanted.speed_scale,
                 acceleration_scale=wanted.acceleration_scale,
                 source=Sentence("re-plan after a hold"),
-                # not now: a person may have called `stop` since then, which this node has not heard of
+                # not now: a person may have called `stop` since, unknown to this node
                 asked=wanted.last_played,
             )
         except rospy.ServiceException as error:

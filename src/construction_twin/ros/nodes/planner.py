@@ -41,12 +41,11 @@ from construction_twin.ros.messages.convert import (
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.messages.services import Outcome
-from construction_twin.ros.nodes.neighbour import OtherArm, await_robot, listen_to_other_arm, neighbour_settings
+from construction_twin.ros.nodes.neighbour import neighbour_obstacles
 from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
 from construction_twin.ros.transport.subscriber import caller_of
-from construction_twin.scene.neighbour import Obstacle
 from construction_twin.scene.objects import product
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.scene.self_collision import read_self_collision
@@ -121,38 +120,20 @@ class PlannerNode:
     def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
         self._robot = robot
         self._chain = Chain(self._robot)
-        self._neighbour = neighbour_settings()
+        self._diagnostics, refuse = node_io.diagnostics, node_io.diagnostics.refuse
         rng, ik = np.random.default_rng(settings.seed), IkSettings(budget_s=settings.ik_budget)
-        solver, pairs = inverse_kinematics(self._chain, ik, rng, time.monotonic), settings.self_collision
-        occupied = self._occupied if self._neighbour is not None else None
-        parts = (
-            solver,
-            settings,
-            read_self_collision(pairs, robot),
-            time.monotonic,
-            rospy.resolve_name("scene"),
-            occupied,
-        )
-        self._pipeline = PlanningPipeline(robot, *parts)
+        solver = inverse_kinematics(self._chain, ik, rng, time.monotonic)
+        pairs, scene = read_self_collision(settings.self_collision, robot), rospy.resolve_name("scene")
+        others = neighbour_obstacles(robot, refuse)
+        self._pipeline = PlanningPipeline(robot, solver, settings, pairs, time.monotonic, scene, others)
         self._plans = 0
         self._last = "no plan asked for yet"
-        self._diagnostics = node_io.diagnostics
-        self._other: OtherArm | None = None
-        if self._neighbour is not None:
-            await_robot(self._neighbour.name)
-            self._other = listen_to_other_arm(self._robot.name, self._neighbour, self._diagnostics.refuse)
-        self._frames = listen_to_frames(robot, settings.tf_prefix, TF_TIMEOUT, self._diagnostics.refuse)
+        self._frames = listen_to_frames(robot, settings.tf_prefix, TF_TIMEOUT, refuse)
         self._publisher, self._outcome_publisher = node_io.publishers["plan"], node_io.publishers["plan_outcome"]
         self._twin = node_io.poses["twin/joint_states"]
         self._engagement: msg.Engagement | None = None
         self._connections = functools.partial(node_io.connections, "scene")
         self._requests = PlanRequests(self._await_surroundings, self._publish)
-
-    # -- the other arm
-
-    def _occupied(self) -> list[Obstacle]:
-        assert self._other is not None and self._neighbour is not None
-        return [item.padded(self._neighbour.padding) for item in self._other.occupied().obstacles]
 
     def _await_surroundings(self) -> None:
         """Wait for a scene whose publisher is connected: without it, the present surroundings of the arm are not known."""
@@ -164,7 +145,7 @@ class PlannerNode:
     # -- subscriptions
 
     def on_scene(self, message: msg.Scene) -> None:
-        """Take the scene to plan in."""
+        """Store the scene to plan in."""
         try:
             self._pipeline.set_scene(scene_from_msg(message))
         except SceneError as error:
@@ -172,11 +153,11 @@ class PlannerNode:
             self._diagnostics.refuse("scene", str(error))
 
     def on_engagement(self, message: msg.Engagement) -> None:
-        """Take whether the arm was left inside an engaged segment."""
+        """Store whether the arm was left inside an engaged segment."""
         self._engagement = message if message.engaged else None
 
     def on_review(self, message: msg.Review) -> None:
-        """Take a verdict: a plan waits for none any more."""
+        """Drop the plan that has its verdict from those that wait."""
         self._requests.on_verdict(message.plan_id)
 
     # -- requests
@@ -184,9 +165,11 @@ class PlannerNode:
     def on_plan_to_joints(self, request: srv.PlanToJointsRequest) -> Outcome:
         """Plan to joint positions."""
         asked = plan_request(request)
-        return self._answer(
-            asked, lambda: self._pipeline.to_joints(request.start or self._present_pose(), request.goal, asked)
-        )
+
+        def plan() -> Plan:
+            return self._pipeline.to_joints(request.start or self._present_pose(), request.goal, asked)
+
+        return self._answer(asked, lambda: plan)
 
     def on_plan_to_pose(self, request: srv.PlanToPoseRequest) -> Outcome:
         """Plan to a pose of the tool, in a link or any frame tf knows, at the goal's stamp (0: the latest)."""
@@ -197,7 +180,7 @@ class PlannerNode:
             goal = product(self._frames.in_base(header.frame_id, header.stamp), pose)
             return self._pipeline.to_pose(self._present_pose(), goal, asked, request.configuration)
 
-        return self._answer(asked, plan)
+        return self._answer(asked, lambda: plan)
 
     def on_plan_cartesian(self, request: srv.PlanCartesianRequest) -> Outcome:
         """Plan along a path of the tool."""
@@ -207,7 +190,7 @@ class PlannerNode:
             path = tool_waypoints(request.waypoints, self._frames.in_base(request.frame_id, rospy.Time(0)))
             return self._pipeline.along(self._present_pose(), path, request.speed or None, asked)
 
-        return self._answer(asked, plan)
+        return self._answer(asked, lambda: plan)
 
     def on_plan_trajectory(self, request: srv.PlanTrajectoryRequest) -> Outcome:
         """Plan a motion from elsewhere, from a message or a file."""
@@ -233,7 +216,7 @@ class PlannerNode:
             waypoints = read()
             return lambda: self._pipeline.through(self._present_pose(), waypoints, asked, retime)
 
-        return self._answer_read(asked, plan)
+        return self._answer(asked, plan)
 
     def on_plan_work(self, request: srv.PlanWorkRequest) -> Outcome:
         """Plan the segments of a task as one."""
@@ -248,7 +231,7 @@ class PlannerNode:
             changes.extend(segment.change for segment in segments)
             return lambda: self._pipeline.work(self._present_pose(), request.task, segments, asked)
 
-        return self._answer_read(asked, read, changes)
+        return self._answer(asked, read, changes)
 
     def on_plan_way_back(self, _request: TriggerRequest) -> Outcome:
         """Plan the way back out of an engaged segment."""
@@ -274,14 +257,11 @@ class PlannerNode:
 
             return plan
 
-        return self._answer_read(asked, read, back=True)
+        return self._answer(asked, read, back=True)
 
     # -- answers
 
-    def _answer(self, asked: PlanRequest, make: Callable[[], Plan]) -> Outcome:
-        return self._answer_read(asked, lambda: make)
-
-    def _answer_read(
+    def _answer(
         self,
         asked: PlanRequest,
         read: Callable[[], Callable[[], Plan]],

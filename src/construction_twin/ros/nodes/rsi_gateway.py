@@ -99,7 +99,7 @@ def gateway_tool(tool: Tool) -> GatewayTool:
     return GatewayTool(tool.name, outputs, tool.inputs)
 
 
-#: In the robot's namespace, by the launch file: which arm it is. A mock is another one in each launch: nobody has stopped it yet.
+#: In the robot's namespace, by the launch file: which arm it is. A mock is another one in each launch, not stopped yet.
 ARM, NEW_MOCK, MOCK = "gateway_arm", "new mock", "mock"
 
 

@@ -37,8 +37,7 @@ from construction_twin.scene.self_collision import read_self_collision
 _PATIENCE = 1.0
 #: How often the present pose is checked [s].
 CHECK_PERIOD = 0.2
-#: Where MoveIt is told, if its message types are installed. For one that is busy many messages are kept: one that is dropped may be
-#: the one that took something away.
+#: For MoveIt, if its message types are installed. The queue is long: a dropped message may be the one that took something away.
 PLANNING_SCENE = shell.Publication("planning_scene", "moveit_msgs/PlanningScene", queue_size=50, latch=True)
 #: roslaunch's id of this run.
 _RUN = "/run_id"

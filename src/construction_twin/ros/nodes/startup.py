@@ -9,7 +9,6 @@ import socket
 import sys
 import threading
 import time
-import urllib.parse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Literal
@@ -54,7 +53,7 @@ class Settings(PrivateSettings):
 
 
 class Refusals:
-    """Hears which nodes of this launch cannot start."""
+    """Collects which nodes of this launch cannot start."""
 
     def __init__(self) -> None:
         #: When each node has said each sentence last [s].
@@ -64,7 +63,7 @@ class Refusals:
             Subscriber(topic, StartRefused, self._on_refused, warn_of_refusals(), queue_size=50)
 
     def add(self, node: str, sentence: str) -> None:
-        """Note why a node cannot start."""
+        """Record why a node cannot start."""
         # without what rospy put behind an anonymous name
         self._nodes.setdefault(sentence, {})[re.sub(r"_\d+_\d{13}$", "", node)] = time.monotonic()
 
@@ -83,7 +82,7 @@ class Refusals:
         return [f"cannot start: {sentence} ({', '.join(names)})" for sentence, names in nodes.items() if names]
 
     def end_launch(self) -> None:
-        """Say all sentences, and end the process: the node is required, so roslaunch ends all others."""
+        """Print all sentences, and end the process: the node is required, so roslaunch ends all others."""
         for sentence in self.sentences:
             print(sentence, file=sys.stderr, flush=True)
         sys.exit(1)
@@ -128,7 +127,7 @@ class StartupNode:
                 self._refused.clear()
 
     def update(self) -> None:
-        """Say what has changed."""
+        """Log what has changed."""
         now, snapshot = self._clock(), self._listener.snapshot()
         state = snapshot.execution.text if snapshot.execution is not None else "WAITING"
         self._is_over = self._is_over or now - self._began > LATE or state not in ("WAITING", "IDLE")
@@ -168,39 +167,19 @@ def expect_reachable(environ: Mapping[str, str]) -> None:
     if environ.get("ROS_IPV6") == "on":
         return
     variable = next((name for name in ("ROS_HOSTNAME", "ROS_IP") if name in environ), "")
-    own = environ[variable] if variable else rosgraph.network.get_host_name()
+    own, why = environ[variable] if variable else rosgraph.network.get_host_name(), "it is empty"
+    with socket.create_server(("", 0)) as server:
+        try:
+            if own:
+                found = socket.getaddrinfo(own, None, socket.AF_INET, socket.SOCK_STREAM)
+                address = str(found[0][4][0]), server.getsockname()[1]
+                return socket.create_connection(address, ADDRESS_TIME).close()
+        except (OSError, UnicodeError) as error:
+            why = f"it leads to no program here ({getattr(error, 'strerror', None) or str(error)})"
     to_do = f"an address of this machine, or unset {variable}"
     if not variable:
         to_do = "a name that /etc/hosts has beside 127.0.1.1, or ROS_IP set to an address of this machine"
-    why = reaches_itself(own, ADDRESS_TIME) if own else "it is empty"
-    if why:
-        raise ConfigurationError(variable or "this machine's name", own, f"{to_do}: {why}")
-    master = urllib.parse.urlsplit(rosgraph.get_master_uri()).hostname or ""
-    if master == "localhost" and (why := reaches_itself(master, ADDRESS_TIME)):
-        raise ConfigurationError("localhost", master, f"the line `127.0.0.1 localhost` in /etc/hosts: {why}")
-
-
-def reaches_itself(host: str, timeout: float) -> str:
-    """Return why no program of this machine that listens by IPv4 is reached by an address or name in time; empty when one is."""
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as server:
-        server.bind(("", 0))
-        server.listen(1)
-        try:
-            found = socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_STREAM)
-        except (OSError, UnicodeError) as error:
-            return f"it has no IPv4 address ({getattr(error, 'strerror', None) or str(error)})"
-        address, port = str(found[0][4][0]), server.getsockname()[1]
-        try:
-            socket.create_connection((address, port), timeout).close()
-        except OSError as error:
-            return f"nothing of this machine answers at {address} ({error.strerror or str(error)})"
-        try:
-            # by the name, as HTTP does: where /etc/hosts has `::1` alone, who asks for IPv4 still gets 127.0.0.1, HTTP only ::1
-            socket.create_connection((host, port), timeout).close()
-        except OSError as error:
-            why = error.strerror or str(error)
-            return f"it has an address of IPv6 alone, at which no program of ROS listens ({why})"
-    return ""
+    raise ConfigurationError(variable or "this machine's name", own, f"{to_do}: {why}")
 
 
 def expect_known(words: list[str]) -> None:
@@ -224,7 +203,7 @@ def check(settings: Settings, robot: RobotModel, *_: object) -> None:
         expected = "rsi with track:=true: the PLC of examples/plc, which is the mock arm then, has no track"
         raise ConfigurationError("gateway_kind", "plc", expected)
     if settings.console and settings.arm == "none":
-        expected = "false with arm:=none: nothing is told by MQTT then, and the page would stay empty"
+        expected = "false with arm:=none: nothing is sent by MQTT then, and the page would stay empty"
         raise ConfigurationError("console", True, expected)
 
 

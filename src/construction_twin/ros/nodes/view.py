@@ -12,6 +12,7 @@ import rosgraph
 import rospy
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.files import write_atomically
 from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.shared.start_refusal import expect_no_other
 
@@ -40,21 +41,10 @@ def main() -> None:
         return
     # in the namespace where this is started; view.launch has one of its own, and gives the whole name
     above, _, robot = rosgraph.names.ns_join(rospy.get_namespace(), options.robot).rpartition("/")
-    config = _write_config(Path(options.config), robot, f"{above}/")
-    remappings = [word for word in sys.argv[1:] if ":=" in word]
-    os.execvp("rviz", ["rviz", "-d", str(config), *remappings])
-
-
-def _write_config(path: Path, robot: str, above: str) -> Path:
-    """Return the view file for a robot: the given one, or a copy with the robot's name in ROS_HOME."""
+    path, config = Path(options.config), ros_home() / f"{robot}_{Path(options.config).name}"
     try:
-        text = path.read_text(encoding="utf-8")
-        written = rviz_config_for(text, robot, above)
-        if written == text:
-            return path
-        copy = ros_home() / f"{robot}_{path.name}"
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        copy.write_text(written, encoding="utf-8")
+        write_atomically(config, rviz_config_for(path.read_text(encoding="utf-8"), robot, f"{above}/"))
     except (OSError, UnicodeDecodeError) as error:
         sys.exit(f"view: {path} cannot be used: {error}; give another rviz_config")
-    return copy
+    remappings = [word for word in sys.argv[1:] if ":=" in word]
+    os.execvp("rviz", ["rviz", "-d", str(config), *remappings])

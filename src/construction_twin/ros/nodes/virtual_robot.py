@@ -1,4 +1,4 @@
-"""virtual_robot: the twin: publishes where it is told to be, or where an arm with mass would be."""
+"""virtual_robot: the twin: publishes the commanded pose, or where an arm with mass would be."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class VirtualRobotNode:
                 self._cycles.skip()
 
     def _advance(self, stamp: int, commanded: tuple[float, ...], published: bool) -> None:
-        """Simulate one cycle, and publish its poses with a stamp [ns] if they are to be told; under the lock."""
+        """Simulate one cycle, and publish its poses with a stamp [ns] if `published`; under the lock."""
         if published and self._gazebo is not None:
             # before it can be answered
             self._gazebo.on_published(stamp)
@@ -110,7 +110,7 @@ class VirtualRobotNode:
             self._publishers["twin/effort"].publish(message)
 
     def on_simulated(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Tell a pose that Gazebo has simulated [rad], with the stamp of its command [ns]."""
+        """Publish a pose that Gazebo has simulated [rad], with the stamp of its command [ns]."""
         gazebo = self._gazebo
         if gazebo is None:
             return
@@ -144,7 +144,7 @@ class VirtualRobotNode:
         self._diagnostics.refuse("order", why)
 
     def on_physical(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Take the arm's pose [rad] with its stamp [ns]; waits while the twin needs none."""
+        """Follow the arm's pose [rad], or begin at it, with its stamp [ns]; waits while the twin needs none."""
         with self._lock:
             if self._robot.mirrors:
                 follows = self._robot.follow(stamp, q) and self._clock.on_command(stamp, self._cycles.reach(stamp))
@@ -161,7 +161,7 @@ class VirtualRobotNode:
             self._needs_arm.wait(PAUSE)
 
     def on_link(self, message: Link) -> None:
-        """Take the link's state: a new session begins at the arm's pose, in mirror mode the arm leads."""
+        """Store the link's state: a new session begins at the arm's pose, in mirror mode the arm leads."""
         leads = message.state == Link.MIRROR
         with self._lock:
             begins = bool(message.session) and message.session != self._session

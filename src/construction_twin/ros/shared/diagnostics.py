@@ -1,4 +1,4 @@
-"""What a node says of itself: refusals and lines in its log, from threads that must not wait; its state on `/diagnostics`."""
+"""A node's log of refusals, for threads that must not wait, and its state on `/diagnostics`."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ ERROR = DiagnosticStatus.ERROR
 MAX_LINES = 1000
 #: Between two lines for one reason [ns].
 PERIOD = 5 * NANOSECONDS
-#: Strangers that are known; those that come later are told of as everything else is.
+#: Strangers that are named once each; later ones are logged as everything else is.
 MAX_STRANGERS = 100
 
 
 class DeferredLog:
-    """Keeps lines until a thread that may wait writes them, to disk and terminal, under a lock of all threads."""
+    """Keeps lines until a thread that may wait writes them, to disk and terminal."""
 
     def __init__(self):
         self._writing = threading.Lock()
@@ -54,25 +54,21 @@ class RefusalLog:
         self._clock = clock
         self._lock = threading.Lock()
         self._lines = LineLimiter(PERIOD)
-        #: How often each stranger was refused, by the sentence that names it, its stream and who may publish that.
-        self._strangers: Counter[str] = Counter()
+        #: By the sentence that names it, its stream and who may publish that.
+        self._strangers: set[str] = set()
 
     def admit(self, reason: str, sentence: str) -> str | None:
-        """Count a refusal; return what to append to its line, None when none is to be written (`LineLimiter.admit`)."""
+        """Return what to append to a refusal's line; None: write none (`LineLimiter.admit`)."""
         with self._lock:
-            if reason == PUBLISHER and (sentence in self._strangers or len(self._strangers) < MAX_STRANGERS):
-                self._strangers[sentence] += 1
-                return "" if self._strangers[sentence] == 1 else None
-            return self._lines.admit(reason, self._clock())
-
-    def strangers(self) -> dict[str, int]:
-        """Return how often each stranger was refused, by its sentence."""
-        with self._lock:
-            return dict(self._strangers)
+            if reason != PUBLISHER or (sentence not in self._strangers and len(self._strangers) >= MAX_STRANGERS):
+                return self._lines.admit(reason, self._clock())
+            is_known = sentence in self._strangers
+            self._strangers.add(sentence)
+            return None if is_known else ""
 
 
 def warn_of_refusals() -> Callable[[str, str], None]:
-    """Return what takes the refusals of a program without `/diagnostics`: they are said in its log alone."""
+    """Return a log of the refusals of a program without `/diagnostics`."""
     log = RefusalLog()
 
     def refuse(reason: str, sentence: str) -> None:
@@ -147,6 +143,4 @@ class NodeDiagnostics:
         for reason, count in refused:
             stat.add(f"refused {reason}", str(count))
             stat.add(f"last refused {reason}", sentences[reason])
-        for sentence, count in self._log.strangers().items():
-            stat.add(f"refused: {sentence}", str(count))
         return stat

@@ -27,20 +27,16 @@ from construction_twin.ros.transport.subscriber import PUBLISHER, Subscriber, ca
 
 
 class FrameError(PlanningError):
-    """A frame is not known; of the known ones, of which tf may have hundreds, `LISTED` are told."""
-
-    LISTED = 40
+    """A frame is unknown; the sentence names known ones, of which tf may have hundreds."""
 
     def __init__(self, frame: str, base: str, cause: str, known: Sequence[str]):
-        listed = ", ".join(known[: self.LISTED])
-        if len(known) > self.LISTED:
-            listed += f" and {len(known) - self.LISTED} more"
+        listed = ", ".join(known[:40]) + (f" and {len(known) - 40} more" if len(known) > 40 else "")
         super().__init__(f"no transform from frame {frame!r} to {base!r}: {cause}; known are {listed}")
 
 
 #: Who publishes the frames of a robot's trees, by the tree's name, in the robot's namespace.
 PUBLISHERS = {"twin": ("robot_state_publisher", "display"), "physical": ("display",), "preview": ("display",)}
-#: Trees for people to look at, which nothing here is told of: of a simulated pose, and of where the servos should have the arm.
+#: Trees for people to look at, ignored here: of a simulated pose, and of where the servos should have the arm.
 DISPLAY_ONLY = ("simulated", "expected")
 #: Messages that are kept for a callback that is busy: about a second of three trees and of other robots'.
 _QUEUE = 100
@@ -49,7 +45,7 @@ FRAMES = ("/tf", "/tf_static")
 
 
 class FrameListener:
-    """Fills a buffer with what is heard of frames; others' are `refused(reason, sentence)`."""
+    """Fills a buffer with the frames of known publishers; others' are `refused(reason, sentence)`."""
 
     def __init__(self, refused: Callable[[str, str], None]):
         self.buffer = tf2_ros.Buffer()

@@ -34,18 +34,16 @@ FAILURES = (OSError, ValueError, http.client.HTTPException, xmlrpc.client.Error)
 
 @dataclass(frozen=True)
 class RunningNode:
-    """A node that is registered; `pid` None: it does not answer; without `has_name` what answers may be another node."""
+    """A node that is registered; `pid` None: it does not answer."""
 
     name: str
     host: str
     pid: int | None
-    has_name: bool = True
 
     def __str__(self) -> str:
         if self.pid is None:
             return f"{self.name} on {self.host} (does not answer; if it has ended, `rosnode cleanup` removes it)"
-        nameless = "" if self.has_name else " (which tells no name; if it has ended, `rosnode cleanup` removes it)"
-        return f"{self.name} on {self.host}, process {self.pid}{nameless}"
+        return f"{self.name} on {self.host}, process {self.pid}"
 
 
 class _Transport(xmlrpc.client.Transport):
@@ -154,4 +152,4 @@ def _query_node(name: str, address: str, patience: float) -> RunningNode | None:
         return RunningNode(name, host, None)
     if code == 1 and answered_name != name:
         return None
-    return RunningNode(name, host, int(pid), has_name=code == 1)
+    return RunningNode(name, host, int(pid))

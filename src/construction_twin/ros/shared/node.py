@@ -49,7 +49,7 @@ def run_node(name: str, start: Callable[[], object], refused: Callable[[str], ob
                 return
             raise
         except ConstructionTwinError as error:
-            # under a name that ends nobody
+            # under a name that ends no other node
             rospy.init_node(name, argv=sys.argv[:1], anonymous=True, disable_signals=True)
             refused(str(error))
             return

@@ -108,7 +108,7 @@ class PosePublication:
 
 @dataclass(frozen=True)
 class Subscription:
-    """A topic that the node hears; the handler takes node and message."""
+    """A topic that the node subscribes to; the handler takes node and message."""
 
     topic: str
     kind: type
@@ -124,7 +124,7 @@ class Subscription:
 
 @dataclass(frozen=True)
 class PoseSubscription:
-    """Poses that the node hears: the handler takes it, stamp [ns], positions [rad]; of `Feedback` also seq and command stamp."""
+    """Poses that the node subscribes to; `handler(node, stamp [ns], positions [rad])`, of `Feedback` also seq, command stamp."""
 
     topic: str
     handler: Callable[..., object]
@@ -198,9 +198,9 @@ class Interface:
 
 
 class NodeIO:
-    """A node's topics and services, opened in an order in which nothing comes before somebody can take it.
+    """A node's topics and services, opened so that nothing arrives before it can be handled.
 
-    What it publishes and asks for is there before it is made, what it hears after that, what it serves last. `parameters`: the
+    Publishers and polled poses are there before the node is made, then come subscriptions, services last. `parameters`: the
     shared ones by name; `publishers`, `poses`: by topic, without what is not there with these parameters.
     """
 
@@ -231,7 +231,7 @@ class NodeIO:
         return partial(rospy.set_param, name)
 
     def connect(self, node: object) -> None:
-        """Open what the node hears, what it serves, and what it does again and again."""
+        """Open subscriptions, services and timers."""
         self._node = node
         for each in self._interface.subscribes:
             if each.when(self._settings):
@@ -244,7 +244,7 @@ class NodeIO:
             rospy.Timer(rospy.Duration(timer.period(self._settings)), self._timer_callback(timer.act))
 
     def connections(self, topic: str) -> int:
-        """Return how many publishers of a topic that is heard are connected; before it is heard, none."""
+        """Return how many publishers of a subscribed topic are connected; 0 before `connect`."""
         subscriber = self._subscribers.get(topic)
         return subscriber.get_num_connections() if subscriber is not None else 0
 
@@ -253,7 +253,7 @@ class NodeIO:
         self._subscribers.pop(topic).unregister()
 
     def _timer_callback(self, act: Callable[[Any], object]) -> Callable[[object], object]:
-        # once this node is asked to end, what stays away is no news: the others end as well
+        # at shutdown silence is no news: the other nodes end as well
         return lambda _event: rospy.core.is_shutdown_requested() or act(self._node)
 
     def _diagnose(self) -> Diagnosis:

@@ -102,7 +102,7 @@ class SavedParameter:
         try:
             # XML-RPC takes a plain text only
             self._write(str(value) if isinstance(value, str) else value)
-        except Exception as error:  # noqa: BLE001 (sockets, HTTP and XML-RPC raise kinds of their own; each is told and tried again)
+        except Exception as error:  # noqa: BLE001 (sockets, HTTP and XML-RPC raise kinds of their own; each is reported and tried again)
             self.fault = f"{self._name} was not written, and what it says would not outlast this node ({error})"
             return
         self._written, self.fault = value, ""

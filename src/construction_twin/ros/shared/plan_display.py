@@ -53,7 +53,7 @@ class PlanDisplay:
         self._rehearsed: list[Marker] = []
         #: The newest: it may come before its plan, and never after the next plan's.
         self._report: RehearsalReport | None = None
-        #: Made when the first rehearsal comes: where there is none, nobody pays for them.
+        #: Made for the first rehearsal.
         self._bodies: RobotBodies | None = None
         self._rehearsal_drawn: tuple[str, str, bool] | None = None
         self._news = threading.Condition()
@@ -82,7 +82,7 @@ class PlanDisplay:
             self._news.notify_all()
 
     def on_scene(self, message: SceneMsg) -> None:
-        """Take the scene in which a work plan may begin."""
+        """Store the scene in which a work plan may begin."""
         try:
             scene = scene_from_msg(message)
         except SceneError as error:
@@ -108,13 +108,13 @@ class PlanDisplay:
             self._draw_rehearsal()
 
     def on_review(self, message: Review) -> None:
-        """Take a verdict."""
+        """Remove a rejected plan."""
         with self._news:
             self._preview.on_verdict(message.plan_id, message.approved)
             self._draw()
 
     def on_execution(self, message: Execution) -> None:
-        """Take away what was played."""
+        """Remove what was played."""
         if not message.plan_id:
             return
         with self._news:

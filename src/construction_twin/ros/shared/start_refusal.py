@@ -26,7 +26,7 @@ RESTART_DELAY = 10.0
 
 
 def launch_id() -> str:
-    """Return which roslaunch started this process; empty: none, or a launch file of somebody else's."""
+    """Return which roslaunch started this process; empty: none, or a foreign launch file."""
     return os.environ.get(VARIABLE, "")
 
 
@@ -100,7 +100,7 @@ def run_program(name: str, main: Callable[[], int | None]) -> NoReturn:
         import rospy
 
         try:
-            # under a name that ends nobody
+            # under a name that ends no other node
             rospy.init_node(name, argv=sys.argv[:1], anonymous=True)
         except rospy.exceptions.ROSInitException:
             sys.exit(1)  # it is asked to end

@@ -11,7 +11,7 @@ import rospy
 from construction_twin.core.errors import ConfigurationError, ProtocolError
 
 #: The node that publishes a stream, by its name in the robot's namespace. The parameter `publishers` there names others. A topic
-#: that is neither here nor in `FOR_ANYBODY` is heard from everybody.
+#: that is neither here nor in `FOR_ANYBODY` any node may publish.
 PUBLISHERS = {
     "next/joint_states": "executor",
     "command/joint_states": "pca_monitor",
@@ -41,7 +41,7 @@ PUBLISHERS = {
     "speed_limit_in_force": "pca_monitor",
     "speed_change": "pca_monitor",
 }
-#: Requests that other programs may make: heard from everybody, unless `publishers` names one node.
+#: Requests that any program may make, unless `publishers` names one node.
 FOR_ANYBODY = ("joint_trajectory", "speed_limit")
 #: Reason under which a message from another node than a stream's publisher is refused.
 PUBLISHER = "publisher"
@@ -71,12 +71,12 @@ def caller_of(message) -> str:
 
 
 def report_uncaught() -> None:
-    """Report the handled exception to `threading.excepthook`, as if nobody had caught it."""
+    """Report the handled exception to `threading.excepthook`, as if uncaught."""
     threading.excepthook(threading.ExceptHookArgs((*sys.exc_info(), threading.current_thread())))
 
 
 class Subscriber:
-    """As `rospy.Subscriber`, for one publisher, `publisher`; None: everybody is heard.
+    """As `rospy.Subscriber`, for one publisher, `publisher`; None: for any.
 
     A ProtocolError of the callback, and another node's message, are refused; any other exception goes to `threading.excepthook`.
     """
@@ -101,7 +101,7 @@ class Subscriber:
         return self._subscriber.resolved_name
 
     def get_num_connections(self) -> int:
-        """Return the number of connected publishers that are heard."""
+        """Return the number of connected publishers that count."""
         if self.publisher is None:
             return self._subscriber.get_num_connections()
         return sum(connection.callerid_pub == self.publisher for connection in self._subscriber.impl.connections)
@@ -111,7 +111,7 @@ class Subscriber:
         return any(connection.callerid_pub == name for connection in self._subscriber.impl.connections)
 
     def unregister(self) -> None:
-        """Hear no more."""
+        """Unsubscribe."""
         self._subscriber.unregister()
 
     def _receive(self, message) -> None:
