@@ -187,29 +187,18 @@ def _quaternion(msg) -> tuple[float, float, float, float]:
 
 def tool_report_from_msg(msg: ToolState) -> ToolReport:
     """Return the report; PayloadError where lists that belong together differ in length, or a state is unknown."""
-    together = (
-        ("inputs", msg.inputs, msg.input_values),
-        ("outputs", msg.outputs, msg.output_values),
-        ("switches", msg.switch_ids, msg.switch_states),
-        ("reasons of switches", msg.switch_ids, msg.switch_reasons),
-    )
-    for what, names, values in together:
-        if len(names) != len(values):
-            raise PayloadError("tool", f"{len(names)} {what} have {len(values)} values; expected as many")
     try:
-        states = [SwitchState(state) for state in msg.switch_states]
+        rows = zip(msg.switch_ids, msg.switch_states, msg.switch_reasons, strict=True)
+        return ToolReport(
+            known=msg.known,
+            tool=msg.tool,
+            outputs=dict(zip(msg.outputs, map(bool, msg.output_values), strict=True)),
+            inputs=dict(zip(msg.inputs, map(bool, msg.input_values), strict=True)),
+            switches={name: SwitchReport(SwitchState(state), sentence_of(msg, why)) for name, state, why in rows},
+            reason=sentence_of(msg, msg.reason),
+        )
     except ValueError as error:
-        raise PayloadError("tool", f"{error}; expected the state of a switch as in ToolState.msg") from error
-    return ToolReport(
-        known=msg.known,
-        tool=msg.tool,
-        outputs=dict(zip(msg.outputs, map(bool, msg.output_values))),
-        inputs=dict(zip(msg.inputs, map(bool, msg.input_values))),
-        switches=dict(
-            zip(msg.switch_ids, map(SwitchReport, states, (sentence_of(msg, why) for why in msg.switch_reasons)))
-        ),
-        reason=sentence_of(msg, msg.reason),
-    )
+        raise PayloadError("tool", f"{error}; expected lists of one length, and states as in ToolState.msg") from error
 
 
 def tool_report_to_msg(report: ToolReport, stamp: genpy.Time) -> ToolState:
