@@ -54,7 +54,7 @@ class WorkPlanTest(RobotTest):
         self.executions.clear()
 
     def edit(self, put, after: str = "") -> None:
-        answer = rospy.ServiceProxy("edit_scene", EditScene)("", list(map(object_to_msg, put)), [], after)
+        answer = rospy.ServiceProxy("edit_scene", EditScene)(put=list(map(object_to_msg, put)), after=after)
         self.assertTrue(answer.success, answer.message)
         wait(lambda: self.scenes and self.scenes[-1].hash == answer.hash, "the scene after the edit")
 
