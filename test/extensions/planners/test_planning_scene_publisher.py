@@ -14,7 +14,6 @@ import genpy
 import numpy as np
 import pytest
 import rospkg
-import rospy
 from genpy.dynamic import generate_dynamic
 from planning_cell import ROBOT
 from scene_samples import box_triangles, kr120, kr120_pairs, track7, track7_pairs, write_stl
@@ -22,7 +21,6 @@ from scene_samples import box_triangles, kr120, kr120_pairs, track7, track7_pair
 from construction_twin.extensions.planners.nodes.planning_scene import MoveitTypes, PlanningScenePublisher
 from construction_twin.kinematics.chain import Pose
 from construction_twin.ros.nodes.scene import PLANNING_SCENE
-from construction_twin.ros.shared import node_shell as ports
 from construction_twin.scene.objects import Scene, SceneObject
 
 #: Of moveit_msgs 1.0 and 1.1, the versions of Noetic.
@@ -238,17 +236,9 @@ def test_the_types_are_the_official_ones():
     assert {name: sums[name] for name in PART_MD5} == PART_MD5
 
 
-def opened(monkeypatch) -> tuple[object, list[str]]:
-    """Return the topic that MoveIt reads, None without it, and what the node warned of."""
-    warned: list[str] = []
-    monkeypatch.setattr(rospy, "logwarn", lambda *words: warned.append(words[0] % words[1:]))
-    monkeypatch.setattr(ports, "Publisher", lambda _topic, kind, *_, **__: kind.__name__)
-    return PLANNING_SCENE.open(ROBOT), warned
-
-
 def test_without_moveit_s_messages_nothing_is_published_and_nothing_is_wrong(monkeypatch):
     monkeypatch.setitem(sys.modules, "moveit_msgs", None)
-    assert opened(monkeypatch) == (None, [])
+    assert PLANNING_SCENE.open(ROBOT) is None
 
 
 def test_objects_have_their_shape_pose_and_frame(tmp_path):
@@ -310,7 +300,7 @@ def test_moveit_follows_an_object_that_is_lifted_put_down_and_removed():
     standing = Scene((TABLE, PART))
     carried = standing.attach("part", "tool0", IN_HAND)
     put_down = carried.detach("part", PART.pose)
-    scenes = (standing, carried, put_down, carried, carried.remove("part"), standing)
+    scenes = (standing, carried, put_down, carried, carried.without(["part"]), standing)
     for count, scene in enumerate(scenes, 1):
         seen = scene_after(published_messages(*scenes[:count]))
         assert set(seen.attached) == {item.name for item in scene.objects if item.link}
@@ -323,32 +313,3 @@ def test_objects_that_only_the_planner_knows_stay():
     for message in published_messages(Scene((TABLE,)), Scene()):
         seen.take(message)
     assert set(seen.world) == {"theirs"}
-
-
-@pytest.fixture
-def install(monkeypatch, tmp_path):
-    """Return what installs moveit_msgs, whose messages import those of another package, as genpy's do."""
-    names = [name for package in ("moveit_msgs", "shape_msgs") for name in (package, f"{package}.msg")]
-    # noted now, so that what the test imports is forgotten after it
-    for name in names:
-        monkeypatch.setitem(sys.modules, name, None)
-        del sys.modules[name]
-
-    def made(needs: str) -> None:
-        for package, text in (("moveit_msgs", f"import {needs}.msg\nclass PlanningScene: pass\n"), ("shape_msgs", "")):
-            (tmp_path / package / "msg").mkdir(parents=True)
-            (tmp_path / package / "__init__.py").touch()
-            (tmp_path / package / "msg" / "__init__.py").write_text(text)
-        monkeypatch.syspath_prepend(tmp_path)
-
-    return made
-
-
-@pytest.mark.parametrize("package", ["object_recognition_msgs", "octomap_msgs", "shape_msgs"])
-def test_a_package_that_moveit_s_messages_need_is_missed_in_one_warning(package, monkeypatch, install):
-    install(package)
-    monkeypatch.setitem(sys.modules, package, None)
-    assert opened(monkeypatch) == (
-        None,
-        [f"planning_scene is not published: moveit_msgs needs {package}, which is not installed"],
-    )

@@ -79,7 +79,7 @@ def test_an_obstacle_that_went_or_was_changed_is_not_put_back(other):
 
 
 def test_an_element_that_is_gone_comes_back_with_what_may_touch_it():
-    present = BEFORE.remove("E1/0")
+    present = BEFORE.without(["E1/0"])
     assert present.get("floor").touch == ()
     assert hash_after(restoring_change(engagement(BEFORE), present, *PLAN, [present, BEFORE]), present) == BEFORE.hash
 

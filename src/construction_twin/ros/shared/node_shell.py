@@ -6,11 +6,11 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
 from types import MethodType
 from typing import Any, Generic, TypeVar
 
 import rospy
+from genpy.message import get_message_class  # type: ignore[attr-defined]
 from sensor_msgs.msg import JointState
 
 from construction_twin.core.errors import ConstructionTwinError, ExpiredError, ProtocolError
@@ -76,21 +76,10 @@ class Publication:
 
     def open(self, _robot: RobotModel) -> AnyPublisher | None:
         """Return the publisher; None where its kind is not installed."""
-        kind = self._installed(self.kind) if isinstance(self.kind, str) else self.kind
+        kind = get_message_class(self.kind) if isinstance(self.kind, str) else self.kind
         if kind is None:
             return None
         return Publisher(self.topic, kind, self.queue_size, latch=self.latch, tcp_nodelay=self.tcp_nodelay)
-
-    def _installed(self, kind: str) -> type | None:
-        """Return a type of messages by its ROS name; None where its package, or one that it needs, is not installed."""
-        package, name = kind.split("/")
-        try:
-            return getattr(import_module(f"{package}.msg"), name)
-        except ModuleNotFoundError as error:
-            missing = str(error.name).split(".")[0]
-            if missing != package:
-                rospy.logwarn("%s is not published: %s needs %s, which is not installed", self.topic, package, missing)
-            return None
 
 
 @dataclass(frozen=True)
