@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+import os
 import re
 import signal
 import subprocess
@@ -28,6 +29,7 @@ from service_cell import (
 
 from construction_twin.core.udp import bind
 from construction_twin.core.units import CYCLE, format_allowance
+from construction_twin.mqtt.fast_client import TESTED_VERSIONS
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
 
@@ -298,6 +300,19 @@ def test_a_paho_that_was_not_tested_is_refused_in_one_sentence(config_file):
     )
     said = refused("--config", config_file, "--listen", "127.0.0.1:0", code=code)
     assert "paho-mqtt: found " in said and "expected version 1.2.3: install that one" in said
+
+
+def test_debian_s_paho_is_refused_in_one_sentence_that_names_the_version_that_is_pinned(tmp_path):
+    package = tmp_path / "paho" / "mqtt"
+    package.mkdir(parents=True)
+    (tmp_path / "paho" / "__init__.py").touch()
+    (package / "__init__.py").write_text('__version__ = "1.6.1"')
+    (package / "client.py").touch()
+    environment = os.environ | {"PYTHONPATH": f"{tmp_path}:{ROOT / 'src'}"}
+    command = [sys.executable, "-m", "construction_twin.gateway", "--help"]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=60.0, env=environment, cwd="/")
+    assert result.returncode == 1 and result.stderr.count("\n") == 1
+    assert f"needs paho-mqtt {TESTED_VERSIONS[-1]};" in result.stderr
 
 
 #: Lines that make one part of the program raise an unexpected exception.
