@@ -57,14 +57,6 @@ def play_to_the_end(progress: Progress, outputs: list) -> None:
         assert len(outputs) < 20_000
 
 
-def test_at_full_rate_the_setpoints_are_the_samples_on_the_grid():
-    motion = reach(duration=1.9999, waypoints=9)
-    progress, outputs = start(motion)
-    play_to_the_end(progress, outputs)
-    assert outputs[2:] == [tuple(motion.sample(k * 4_000_000 / 1e9)[0].tolist()) for k in range(len(outputs) - 2)]
-    assert outputs[-1] == tuple(motion.positions[-1])
-
-
 def test_a_rate_that_is_reached_stays_exactly():
     progress, outputs = start(reach(duration=8.0))
     play(progress, outputs, [1.0] * 200)
@@ -72,13 +64,6 @@ def test_a_rate_that_is_reached_stays_exactly():
     np.testing.assert_allclose(np.diff(elapsed[-100:]), 0.002, rtol=0, atol=1e-15)
     elapsed = play(progress, outputs, [1.0] * 400)
     np.testing.assert_allclose(np.diff(elapsed[-100:]), 0.004, rtol=0, atol=1e-15)
-
-
-def test_never_runs_back_nor_faster_than_planned():
-    progress, outputs = start(reach(duration=4.0))
-    rates = np.repeat([1.0, 0.0, 1.0, 0.3, 0.9, 0.0, 1.0], 70)
-    steps = np.diff(play(progress, outputs, rates), prepend=0.0)
-    assert steps.min() >= 0.0 and steps.max() <= CYCLE + 1e-15
 
 
 def test_at_rest_means_at_rest():
@@ -135,7 +120,7 @@ def test_even_a_motion_at_the_acceleration_limit_stays_inside_it(seed, points, s
     # the differences of positions around 1 rad carry 1e-15 / (4 ms)^2 of rounding
     assert fractions(outputs)[0] <= 1.0 + 1e-9
     assert outputs[2:] == [tuple(motion.sample(t)[0].tolist()) for t in elapsed]
-    assert np.diff(elapsed).min() >= 0.0
+    assert np.diff(elapsed).min() >= 0.0 and np.diff(elapsed).max() <= CYCLE + 1e-12
 
 
 @pytest.mark.parametrize("fraction", [0.1, 0.3, 0.5, 0.7, 0.9])

@@ -195,16 +195,6 @@ class TestHolding:
             assert bench.cycle(moved(held, 0.05)) == held
         assert bench.state is SyncState.HOLDING and "; not opened: " in bench.gate.reason
 
-    def test_does_not_open_before_agree_time_has_passed_again(self):
-        bench = Bench().opened()
-        bench.offset = -0.2
-        bench.cycle()
-        bench.offset = 0.0
-        bench.run(0.096)
-        assert bench.state is SyncState.HOLDING
-        bench.run(0.02)
-        assert bench.state is SyncState.IN_SYNC
-
 
 @pytest.mark.parametrize(
     "theta_next",

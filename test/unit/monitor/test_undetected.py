@@ -66,11 +66,6 @@ def test_until_the_lag_is_known_it_is_granted_twice():
     assert not comparison.compare((SPEED * stamp / 1e9 - most - 1e-6,), stamp, stamp).agrees
 
 
-def test_the_direction_and_the_kind_of_joint_are_of_no_account():
-    settings = ComparisonSettings((0.01, 0.005), lag_allowance=0.05, lag_margin=0.02)
-    assert undetected(settings, (-1.0, 1.0)) == pytest.approx((0.08, 0.075))
-
-
 def test_what_is_shipped_for_a_real_arm():
     assert SHIPPED["lag_margin"] <= 0.02 and GateSettings().lag_margin == SHIPPED["lag_margin"]
     limits = MotionLimits.of(ROBOT)

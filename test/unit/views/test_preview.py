@@ -56,12 +56,6 @@ class TestGhost:
             expected = tuple(trajectory.sample(fraction * DURATION)[0].tolist())
             assert preview.pose(10.0 + fraction * DURATION / speed) == pytest.approx(expected, abs=1e-12)
 
-    def test_stays_at_the_goal_until_the_plan_is_decided(self, preview):
-        preview.play(1.0, False, 0.0)
-        assert preview.pose(DURATION) == preview.pose(100.0) == (1.0, 2.0)
-        preview.on_verdict("p", True)
-        assert preview.pose(100.0) == TWIN
-
     def test_plays_again_and_again_with_a_rest_at_the_goal(self, preview):
         assert preview.play(2.0, True, 0.0).endswith("again and again; nothing moves")
         period = DURATION / 2.0 + LOOP_REST
@@ -120,10 +114,6 @@ class TestShown:
         preview.on_verdict("p", True)
         assert preview.plan.id == "p" and preview.under_review is None
         preview.on_ending("p")
-        assert preview.plan is None
-
-    def test_a_rejected_plan_is_not_shown(self, preview):
-        preview.on_verdict("p", False)
         assert preview.plan is None
 
     def test_a_plan_that_arrives_after_its_verdict_is_not_played(self):
