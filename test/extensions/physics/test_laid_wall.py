@@ -68,5 +68,5 @@ def test_elements_without_a_known_mass_is_fixed_and_named(laid):
     lying, _ = laid
     report = rehearse(ARM, question(laid, (), lying))
     (remark,) = [each for each in report.remarks if "fixed in this rehearsal" in each]
-    assert report.state == PASSED and "nobody says what they weigh" in remark
+    assert report.state == PASSED and "their masses are unknown" in remark
     assert all(one in remark for one in lying)

@@ -42,7 +42,7 @@ def test_the_same_commands_give_the_same_bytes():
 def test_before_the_first_model_it_is_where_it_is_told_to_be_and_says_so():
     twin = LiveTwin()
     assert twin.cycle(HOME) == HOME and twin.effort == () == twin.contacts
-    assert twin.fault == "nothing is simulated before the scene is known: the twin is where it is told to be"
+    assert twin.fault == "nothing is simulated before the scene is known: the twin is at the commanded pose"
     twin.set_model(model_in())
     assert twin.fault == ""
 

@@ -102,7 +102,7 @@ def test_the_same_strike_gives_the_same_bytes_and_a_fixed_wall_only_contacts():
     assert repr(first) == repr(second)
     unweighed, _ = struck(masses={"block": 20.0}, unweighed=tuple(item.name for item in wall))
     assert unweighed.state == FAILED and unweighed.objects == ()
-    assert "brick3.1" in remark_with(unweighed, "nobody says what they weigh")
+    assert "brick3.1" in remark_with(unweighed, "their masses are unknown")
 
 
 def test_of_many_bodies_those_near_the_path_can_be_tipped_over():

@@ -76,7 +76,7 @@ class MessageBoard:
         clock: Callable[[], float],
     ):
         self._publish, self._refuse, self._file, self._clock = publish, refuse, file, clock
-        # held while it is told: what is retained must not be an older one, told by another thread
+        # held while it publishes: what is retained must be the newest
         self._lock = threading.Lock()
         #: A limit that is dragged down: id of its message, and all its steps as one change.
         self._lowered: tuple[str, SpeedChange | None] = ("", None)

@@ -1,4 +1,4 @@
-"""The files that a console serves to whom the broker has let in: the robot's model, the scene's meshes, the building.
+"""The files that a console serves after login: the robot's model, the scene's meshes, the building.
 
     <folder>/mesh/<digest>.<suffix>      shared by all robots; the name is the SHA-256 of the original file
     <folder>/<robot>/robot.urdf, building.glb
@@ -47,7 +47,7 @@ class PrivateFiles:
         self._robot = robot
 
     def write_robot(self, urdf: str) -> tuple[str, ...]:
-        """Write the robot's model without collision shapes, and its meshes; return a sentence for each shape that is left out."""
+        """Write the robot's model without collision shapes, and its meshes; return why shapes are left out."""
         try:
             # bytes, because the XML parser refuses an encoding declaration in a str
             robot = ElementTree.fromstring(urdf.encode())
@@ -75,7 +75,7 @@ class PrivateFiles:
         return tuple(problems)
 
     def write_scene(self, scene: Scene) -> None:
-        """Write the meshes of a scene, as binary STL in the files' own units; SceneError for one that cannot be read any more."""
+        """Write the meshes of a scene, as binary STL in the files' own units."""
         for item in scene.objects:
             name = f"mesh/{item.mesh_digest}.stl"
             if item.mesh and not (self._folder / name).exists():
@@ -88,7 +88,7 @@ class PrivateFiles:
         self._write(f"{self._robot}/building.glb", glb)
 
     def drop_building(self) -> None:
-        """Take away the building model of an earlier start."""
+        """Delete the building model of an earlier start."""
         try:
             (self._folder / self._robot / "building.glb").unlink(missing_ok=True)
         except OSError as error:

@@ -23,7 +23,7 @@ from construction_twin.robot.frames import rpy_to_quaternion
 from construction_twin.robot.tool import Cups, FilePose
 from construction_twin.scene.collision_bodies import Body
 
-#: Friction of a cup's lip on what it holds [1] of which nobody says more: dry board, stone and metal.
+#: Friction of a cup's lip on what it holds [1], where unknown: dry board, stone and metal.
 FRICTION = 0.5
 #: A cup holds where this far below its plane [m] a ball of this radius [m] is inside of the workpiece.
 _DEPTH, _BALL = 0.003, 0.002

@@ -1,7 +1,4 @@
-"""Masses that a simulation needs: of links, tools and workpieces. SI.
-
-An unknown mass is calculated from a volume and a density, and is named as an estimate wherever it is shown.
-"""
+"""Masses of links, tools and workpieces; unknown ones are estimated from a volume and a density. SI."""
 
 from __future__ import annotations
 
@@ -20,7 +17,7 @@ from construction_twin.scene.collision_bodies import Body, RobotBodies
 STEP = 0.001
 #: Acceleration of gravity, along -z of the root [m/s^2] (DIN 1305).
 GRAVITY = 9.80665
-#: Friction of two bodies [1] of which nobody says more: wood, brick and steel lie between 0.3 and 0.6.
+#: Friction of two bodies [1], where unknown: wood, brick and steel lie between 0.3 and 0.6.
 FRICTION = 0.4
 #: Taken for a shape of unknown material [kg/m^3]: between spruce and aluminium, as what a lab carries is.
 UNKNOWN_DENSITY = 1000.0
@@ -53,7 +50,7 @@ class MassProperties:
         )
 
     def scaled_to(self, mass: float) -> MassProperties:
-        """Return a body of the same shape that weighs `mass` [kg], which somebody has said."""
+        """Return a body of the same shape with a known mass [kg]."""
         return MassProperties(mass, self.centre, self.inertia * (mass / self.mass), False)
 
 
@@ -66,7 +63,7 @@ def payload_of(numbers: Sequence[float], name: str) -> MassProperties | None:
     if not is_payload or not math.hypot(*centre) <= _LARGEST_DISTANCE:
         expected = "a mass above 0 [kg], or a mass and its centre in the tip link: KG,X,Y,Z [kg], [m]"
         raise ConfigurationError(name, tuple(numbers), expected)
-    # a cube of 20 cm, when nobody says more
+    # a cube of 20 cm, where unknown
     return MassProperties(mass, np.array(centre or (0.0, 0.0, 0.0)), np.eye(3) * mass * 0.04 / 6.0)
 
 

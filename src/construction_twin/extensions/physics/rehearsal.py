@@ -83,7 +83,7 @@ class Rehearsal:
 
     Attributes:
         masses: Of objects, by name [kg]. What stands and has one can be tipped over.
-        unweighed: Elements that stand there and whose mass is unknown: part of the world.
+        unweighed: Standing elements of unknown mass: part of the world.
         flange: A payload without a shape, in the frame of the tip link.
         grip: The tool's cups; None: it has none.
         tool, inputs: Hashes of the tool file, and of what else decides the result.
@@ -328,7 +328,7 @@ class _Run:
             self._remarks.append(f"fixed in this rehearsal, nothing tips them over: {more}")
         if of.unweighed:
             self._remarks.append(
-                f"fixed in this rehearsal, nothing tips them over, as nobody says what they weigh: {names_text(of.unweighed)}"
+                f"fixed in this rehearsal, nothing tips them over, their masses are unknown: {names_text(of.unweighed)}"
             )
         return True
 

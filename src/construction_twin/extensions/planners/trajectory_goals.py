@@ -431,7 +431,7 @@ class TrajectoryGoals:
         elif self.state is GoalState.BRAKING:
             self._effects.append(Brake(self._planned.id))
 
-    # -- what clients are told
+    # -- results and status
 
     def _finish(self, ending: Ending, code: ResultCode, sentence: str) -> None:
         """End the goal that has the arm; while its plan is being withdrawn, there may be none."""

@@ -76,7 +76,7 @@ class ConsoleNode:
                 refuse("mesh", problem)
             if node_io.parameters["work"] is None:
                 files.drop_building()
-        # its last will takes the plan away: while it is lost, a verdict is not heard
+        # its last will clears the plan: while it is lost, no verdict arrives
         client = make_client(broker, unique_id(robot.name, "acts"), topics.plan, will="")
         acts_connection = Connection(broker, client, topics, refuse)
         writer = ViewWriter(robot.name, secrets.token_hex(8), joints)
@@ -165,12 +165,12 @@ class ConsoleNode:
         self.feed.on_plan(message)
 
     def on_review(self, message: msg.Review) -> None:
-        """Take a verdict."""
+        """Clear the decided plan, and add its message."""
         self.shown_plan.on_review(message)
         self.feed.on_review(message, self.shown_plan.rehearsal)
 
     def on_link(self, message: msg.Link) -> None:
-        """Take the bridge's report."""
+        """Store the bridge's report, and follow its session."""
         self.shown_plan.on_link(message)
         self.feed.on_link(message)
 

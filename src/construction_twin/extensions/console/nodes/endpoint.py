@@ -42,7 +42,7 @@ REPEATED = "repeated"
 
 
 class Connection:
-    """A connection of the node to the broker, served by a thread of its own; requests are heard and answered by it.
+    """A connection of the node to the broker, with a thread of its own, for requests and answers.
 
     `refuse` counts a refused input, by reason and sentence. What fails of `side_effects` fails neither the request nor the node,
     which may have a stop to carry out.

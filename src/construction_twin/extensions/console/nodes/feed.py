@@ -199,7 +199,7 @@ class ConsoleFeed:
             self._publish_path()
 
     def _publish_path(self) -> None:
-        # a node that was started in the middle of a motion may hear of the plan after it has heard that it is played
+        # a node that starts in the middle of a motion may receive `plan` after `execution`
         payload = self._paths.get(self._playing, b"")
         if payload != self._retained.get(self._topics.path, b""):
             self._publish_retained(self._topics.path, payload)

@@ -49,7 +49,7 @@ class LiveTwin:
     def fault(self) -> str:
         """Why what is shown is not a simulation, or was begun anew; empty: it is one."""
         if self._model is None and not self._next:
-            return "nothing is simulated before the scene is known: the twin is where it is told to be"
+            return "nothing is simulated before the scene is known: the twin is at the commanded pose"
         anew = "the simulation was begun anew at the commanded pose, because its numbers had become useless"
         return f"{anew}: {self.diverged} times so far" if self.diverged else ""
 

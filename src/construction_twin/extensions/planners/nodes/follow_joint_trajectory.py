@@ -344,7 +344,7 @@ class FollowJointTrajectoryNode:
             rospy.logwarn("%s gave no answer (%s); trying again", rospy.resolve_name(service), error)
             done = False
         if not done:
-            # the plan has not reached the executor yet, or its verdict, start or end has just crossed this, which will be heard of
+            # the plan has not reached the executor yet, or its verdict, start or end has just crossed this call
             self._enqueue(self._goals.on_call_failed)
 
     def diagnose(self) -> Diagnosis:
