@@ -24,8 +24,8 @@ from rospy.exceptions import TransportTerminated
 
 from construction_twin.core.freshness import Moment
 from construction_twin.extensions.console.nodes import endpoint as module
-from construction_twin.extensions.console.nodes.acts import WAITING, Acts, Services
 from construction_twin.extensions.console.nodes.endpoint import Connection
+from construction_twin.extensions.console.nodes.requests import WAITING, Acts, Services
 from construction_twin.extensions.console.nodes.shown_plan import ShownPlan
 from construction_twin.mqtt.client import Account, Broker
 from construction_twin.mqtt.messages import Topics

@@ -24,7 +24,7 @@ from std_srvs.srv import TriggerResponse
 from construction_twin.core.freshness import Moment
 from construction_twin.extensions.console.nodes import endpoint
 from construction_twin.extensions.console.nodes.endpoint import Connection
-from construction_twin.extensions.console.nodes.requests import WAITING, ConsoleRequests
+from construction_twin.extensions.console.nodes.requests import WAITING_PLANS, ConsoleRequests
 from construction_twin.link.requests import Joints
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
@@ -270,13 +270,13 @@ def test_what_is_refused_is_counted_and_answered_with_the_id_where_there_is_one(
 
 
 def test_more_than_may_wait_is_refused_and_can_be_sent_again(bench):
-    for number in range(WAITING + 1):
+    for number in range(WAITING_PLANS + 1):
         bench.send(f"account-{number}", id=f"n{number}")
-    assert bench.refused == ["busy"] and [answer["id"] for answer in bench.answers] == [f"n{WAITING}"]
+    assert bench.refused == ["busy"] and [answer["id"] for answer in bench.answers] == [f"n{WAITING_PLANS}"]
     bench.desk.queue.run()
-    bench.send(f"account-{WAITING}", id=f"n{WAITING}")
+    bench.send(f"account-{WAITING_PLANS}", id=f"n{WAITING_PLANS}")
     bench.desk.queue.run()
-    assert len(bench.planner.asked) == WAITING + 1 and bench.answers[-1]["ok"]
+    assert len(bench.planner.asked) == WAITING_PLANS + 1 and bench.answers[-1]["ok"]
 
 
 def test_one_sender_alone_does_not_hold_up_the_others(bench):

@@ -12,7 +12,6 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -25,7 +24,6 @@ from processes import ROOT, wait_until
 from site_broker import SiteBroker
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.extensions.console.nodes import requests
 from construction_twin.extensions.console.nodes.endpoint import Connection
 from construction_twin.extensions.console.nodes.feed import ARM, TWIN, ConsoleFeed
 from construction_twin.extensions.console.nodes.requests import ConsoleRequests
@@ -142,9 +140,6 @@ def cell(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rospy, "wait_for_service", lambda *_: None)
         patch.setattr(rospy, "loginfo", lambda *_: None)
-        # the session sends one motion after the other
-        for name in ("NAMELESS_TRAJECTORY", "TRAJECTORY"):
-            patch.setattr(requests, name, replace(getattr(requests, name), pace=None))
         cell = Cell(tmp_path_factory.mktemp("cell"))
         yield cell
         cell.close()

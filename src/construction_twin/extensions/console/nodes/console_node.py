@@ -16,10 +16,9 @@ import pydantic
 import rospy
 
 from construction_twin import msg, srv
-from construction_twin.extensions.console.nodes.acts import Acts, Services
 from construction_twin.extensions.console.nodes.endpoint import Connection
 from construction_twin.extensions.console.nodes.feed import ARM, EXPECTED, TWIN, ConsoleFeed, deployment_of
-from construction_twin.extensions.console.nodes.requests import ConsoleRequests
+from construction_twin.extensions.console.nodes.requests import Acts, ConsoleRequests, Services
 from construction_twin.extensions.console.nodes.shown_plan import ShownPlan
 from construction_twin.extensions.console.private_files import PrivateFiles
 from construction_twin.extensions.console.remote_view import ViewWriter
