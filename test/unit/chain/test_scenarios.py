@@ -393,7 +393,7 @@ def test_the_cell_does_what_the_scenario_expects(name):
 def test_without_its_fault_a_scenario_fails(name):
     content = shipped(name)
     content["scenario"]["steps"] = [step for step in content["scenario"]["steps"] if "inject" not in step]
-    content["scenario"]["limit"] = 10.0
+    content["scenario"]["limit"] = 6.0
     run = ScenarioRun(name, content)
     assert not run.judge(*run.carry_out()).passed
 

@@ -61,7 +61,7 @@ class TestPaperTask:
         assert_corrections_inside_limits(paper_run)
 
 
-@pytest.mark.parametrize("phase", [0.0, 0.0005, 0.00137, 0.0021])
+@pytest.mark.parametrize("phase", [0.0, 0.00137])
 def test_three_decimals_err_by_no_more_than_their_own_rounding(phase):
     chain = make_chain(3, playout_delay=0.02 + phase)
     play_to_the_end(chain, make_plan(chain, REACH, duration=10.0, waypoints=200))

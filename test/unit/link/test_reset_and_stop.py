@@ -201,14 +201,14 @@ class ResetBench:
     def arm(self) -> ResetBench:
         """Run until the link is armed and its stream is followed."""
         self.run_until(lambda: self.link is LinkState.ARMED and self.gateway.state is State.FOLLOWING)
-        self.run(1.0)
+        self.run(0.4)
         return self
 
     def stopped(self) -> ResetBench:
         """Run until the link is armed, and then stopped by a person, which everybody knows."""
         self.arm()
         self.stop_by_account()
-        self.run(1.5)
+        self.run(0.5)
         assert self.link is LinkState.NEEDS_RESET and self.gateway.state is State.HOLDING
         return self
 
