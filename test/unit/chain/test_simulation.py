@@ -103,12 +103,12 @@ def test_on_an_undisturbed_link_the_commands_own_stamps_are_played_and_nothing_i
     assert (playout["delay_ms"], playout["jitter_ms"]) == (20.0, 0.0)
 
 
-@pytest.mark.parametrize("drift_ppm", [200.0, -200.0])
+@pytest.mark.parametrize("drift_ppm", [400.0, -400.0])
 def test_clocks_that_drift_apart_by_a_cycle_change_nothing(drift_ppm):
     chain = make_chain(6, link=SimulatedLink(drift_ppm=drift_ppm))
-    # a cycle is gained or lost every 20 s
+    # a cycle is gained or lost every 10 s
     chain.run_for(1.0)
-    play_to_the_end(chain, make_plan(chain, REACH, duration=24.0, waypoints=300))
+    play_to_the_end(chain, make_plan(chain, REACH, duration=12.0, waypoints=300))
     # while time is moved at a rate r, the servo's lag of 8 ms counts 8 ms (1 + r) in stamps
     assert worst_error(chain) <= 1.1e-8 + fastest(chain) * 0.008 * CALM.ahead
     assert chain.gateway.counters["settling"] == chain.gateway.counters["cycles_without_command"] == 0
