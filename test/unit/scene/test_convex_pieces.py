@@ -60,7 +60,7 @@ def extruded(outline) -> np.ndarray:
 
 def dented_ball() -> np.ndarray:
     """Return the triangles of a ball with a dent, all of its faces in planes of their own."""
-    body = manifold3d.Manifold.sphere(0.3, 48) - manifold3d.Manifold.sphere(0.2, 48).translate((0.3, 0.0, 0.0))
+    body = manifold3d.Manifold.sphere(0.3, 36) - manifold3d.Manifold.sphere(0.2, 36).translate((0.3, 0.0, 0.0))
     vertices, triangles = mesh_of(body)
     return vertices[triangles]
 
@@ -378,10 +378,10 @@ def test_what_is_curved_weighs_what_its_mesh_encloses(tmp_path):
 
 @given(
     holes=st.lists(
-        st.tuples(*[st.floats(-0.3, 0.3)] * 3, st.floats(0.05, 0.25), st.integers(8, 20)), min_size=1, max_size=4
+        st.tuples(*[st.floats(-0.3, 0.3)] * 3, st.floats(0.05, 0.25), st.integers(8, 14)), min_size=1, max_size=3
     )
 )
-@settings(deadline=None, max_examples=3)
+@settings(deadline=None, max_examples=2)
 def test_a_box_with_any_dents_is_in_its_pieces(holes):
     body = manifold3d.Manifold.cube((0.6, 0.5, 0.4), True)
     for x, y, z, radius, segments in holes:
