@@ -103,16 +103,6 @@ def test_its_replies_are_positions_within_the_limits_and_no_increments():
     assert (targets >= np.array(ROBOT.lower)).all() and (targets <= np.array(ROBOT.upper)).all()
 
 
-def test_a_stop_brings_the_arm_to_rest():
-    chain = moving()
-    chain.gateway.stop("asked for")
-    assert chain.run_until(lambda: chain.gateway.state is State.HOLDING, 3.0)
-    chain.run_for(0.2)
-    held = chain.controller.measured
-    chain.run_for(0.2)
-    assert chain.controller.measured == held and chain.controller.running
-
-
 def test_a_session_that_is_started_anew_is_another_one_and_the_arm_stays_until_a_person_resets():
     chain = moving()
     chain.requests.append(chain.controller.restart)

@@ -24,7 +24,6 @@ from servo_chain import (
 
 from construction_twin.mock.faults import Fault
 from construction_twin.monitor.states import SyncState
-from construction_twin.mqtt.messages import Control
 
 JOINTS = range(len(ROBOT.joint_names))
 
@@ -44,11 +43,6 @@ def test_a_slip_of_three_quarters_of_a_degree_is_found_at_any_speed(joint):
     share, angle = ((0.3, 0.75), (1.0, -0.75))[joint % 2]
     samples, reason = fault_in_motion(NOMINAL, joint, slip(joint, angle), share)
     assert samples == 2 and reason.startswith(f"A{joint + 1} ")
-
-
-def test_without_a_model_the_gate_does_what_it_did():
-    samples, reason = fault_in_motion(None, 0, slip(0, 0.75))
-    assert samples is None and reason == ""
 
 
 FAULTS = [
@@ -90,22 +84,6 @@ def test_a_payload_within_the_rating_closes_nothing_and_is_refined():
     work.run(5.0)
     assert (work.largest < 0.6 * before).all()
     assert (np.abs(np.diff(np.array(changes), axis=0)) <= 0.0005 + 1e-12).all()
-
-
-def test_a_speed_limit_and_a_pause_close_nothing():
-    chain = servo_chain()
-    plan, fastest, _ = sweep(chain, 0)
-    chain.play(plan)
-    chain.run_for(0.5 * fastest)
-    chain.gateway.on_control(Control("1", chain.gateway.command_session, "speed_limit", 0.2), chain.now)
-    chain.run_for(0.5)
-    chain.gateway.on_control(Control("2", chain.gateway.command_session, "speed_limit", 1.0), chain.now)
-    chain.run_for(0.5)
-    chain.executor.pause(chain.now)
-    chain.run_for(2.0)
-    chain.executor.resume()
-    assert chain.run_until(lambda: chain.executor.outcome == "finished", 10.0)
-    assert chain.gate.state is SyncState.IN_SYNC and chain.gate.servo_watch.judged > 200
 
 
 def test_the_arm_with_mass_is_followed_with_known_payloads():

@@ -11,7 +11,6 @@ from simulation import SimulatedLink
 
 from construction_twin.core.units import CYCLE_NS
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.gateway.gateway import State
 from construction_twin.mock.faults import Fault
 
 TOOL = yaml.safe_load((ROOT / "config/tools/vacuum_frame.yaml").read_text().replace("vacuum_reached", "gripped"))
@@ -79,14 +78,3 @@ def test_after_a_grip_that_did_not_close_a_person_opens_it_by_hand_and_a_new_ses
     chain.run_for(1.0)
     told = chain.gateway.status()["tool"]
     assert told["known"] and told["outputs"] == {"vacuum": False} and told["inputs"] == {"gripped": False}
-
-
-def test_a_stop_between_arming_and_firing_leaves_the_output_alone():
-    chain, _ = begun()
-    armed = lambda: any(s["state"] == "armed" for s in chain.gateway.status()["tool"]["switches"])  # noqa: E731
-    assert chain.run_until(armed, 10.0), chain.executor.reason
-    chain.gateway.stop("asked for by a person")
-    chain.run_for(3.0)
-    assert not vacuum(chain) and edges(chain) == []
-    assert [s["state"] for s in chain.gateway.status()["tool"]["switches"]] == ["void"]
-    assert chain.gateway.state is State.HOLDING

@@ -92,12 +92,6 @@ def test_jitter_stalls_and_losses_are_never_called_another_clock(seed, cycle_ms)
     assert judged(troubled(seed, cycle_ms, seconds=25), cycle_ms)[0] == ""
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_nor_do_they_hide_one(seed):
-    said, _ = judged(troubled(seed, 12, seconds=25), 4)
-    assert said.startswith("the controller's cycle is 12 ms (IPOC steps of 12); expected 4 ms")
-
-
 def test_another_session_is_measured_anew():
     clock = ControllerClock(RSI, 4)
     for ipoc, at in regular(12, 12.0, 90):
@@ -249,16 +243,6 @@ def test_an_arm_that_is_commanded_brakes_when_the_cycle_changes(cycle, other, sa
     assert cell.control("reset")[0] and not cell.arm("s2")[0]
     cell.cycle(step_ms=other)
     assert cell.state is State.OTHER_CYCLE and cell.gateway.reason.startswith(said)
-
-
-def test_while_it_is_measured_the_held_pose_follows_a_program_of_the_controller():
-    cell = Cell(measures=True)
-    for k in range(FIRST // 4 + 1):
-        cell.setpoint = (0.1 + 1e-4 * k, -1.0)
-        cell.measured = cell.setpoint
-        cell.cycle()
-    assert cell.state is State.READY and set(cell.replies) == {(0.0, 0.0)}
-    assert cell.arm() == (True, "armed")
 
 
 def test_of_a_controller_that_takes_no_corrections_the_sentence_goes_with_its_clock():

@@ -43,17 +43,6 @@ def test_without_properties_the_stream_is_played_on_its_arrival_grid():
     assert cell.gateway.state_message(cell.now)[1].command_stamp == 0
 
 
-def test_without_properties_nothing_moves_unarmed_and_silence_still_brakes():
-    cell = Cell(properties=False)
-    cell.cycle(3)
-    cell.send(START)
-    assert cell.count("refused_not_armed") == 1
-    cell.arm()
-    cell.stream(slow(k) for k in range(100))
-    cell.cycle(60)
-    assert (cell.count("stops_silence"), cell.state) == (1, State.HOLDING)
-
-
 # -- anything at all -------------------------------------------------------------------------------------------------
 
 

@@ -197,14 +197,6 @@ def test_a_command_that_travelled_too_long_is_stale():
     assert (cell.count("refused_stale"), cell.state) == (1, State.FOLLOWING)
 
 
-@pytest.mark.parametrize("seconds", [3600.0, 0.6])
-def test_a_senders_clock_that_is_set_forward_stops_the_arm_instead_of_playing_in_slow_motion(seconds):
-    cell = following()
-    cell.stamp += round(seconds * NANOSECONDS)
-    cell.send(slow(100))
-    assert (cell.state, cell.count("refused_lead")) == (State.BRAKING, 1)
-
-
 def test_a_sender_faster_than_time_is_stopped():
     cell = following()
     for k in range(100, 400):

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 from processes import ROOT, free_port, wait_until
-from service_cell import AXES, CONFIG, client_of, controller_of, serving
+from service_cell import AXES, CONFIG, controller_of, serving
 
 from construction_twin.rsi.controller_codec import SensorDecoder
 from construction_twin.rsi.ethernet_xml import load_ethernet_xml
@@ -22,7 +22,6 @@ NAMED = dataclasses.replace(
     holdon=(False, True, True),
     send=("ASPos", "AIPos", "Delay"),
 )
-READ_ONLY = dataclasses.replace(PLAIN, onlysend=True, receive=(), holdon=())
 
 
 def with_layout(layout, **changes):
@@ -45,20 +44,6 @@ def test_a_gateway_that_ends_tells_the_controller_once_the_arm_is_at_rest(topics
             exchange(controller, decoder)
         service.stop()
         wait_until(lambda: exchange(controller, decoder).stop, what="Stop 1")
-
-
-def test_read_only_publishes_states_and_answers_nothing(broker, topics):
-    with serving(broker, topics, with_layout(READ_ONLY)) as (service, address), controller_of(address) as controller:
-        with client_of(broker, topics) as client:
-            client.wait_for_status(state="no_controller", mode="read_only")
-            controller.socket.settimeout(0.05)
-            for _ in range(5):
-                controller.cycle()
-            assert controller.replies == [None] * 5
-            client.wait_for_status(state="read_only")
-            assert client.on(topics.state)
-            answer = client.arm(service.gateway.config)
-            assert not answer["ok"] and "ONLYSEND TRUE" in answer["reason"]
 
 
 # -- the program -------------------------------------------------------------------------------------------------------

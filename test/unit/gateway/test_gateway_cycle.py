@@ -9,11 +9,7 @@ import pytest
 from gateway_cell import Cell, following, slow
 
 from construction_twin.controller.last_resort import LONGEST_GAP_MS
-from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.limits import MotionLimits
-from construction_twin.core.units import CYCLE_NS, format_allowance
-from construction_twin.gateway.playout import Playout, PlayoutBounds
-from construction_twin.gateway.playout_rate import PlayoutRate
+from construction_twin.core.units import format_allowance
 from construction_twin.gateway.states import State
 
 PERIOD = 0.012
@@ -101,28 +97,7 @@ def test_a_speed_limit_is_kept_per_cycle_of_12_ms_and_on_the_path(fraction):
     assert max(moves) <= step * 1.1 + 1e-12
 
 
-@pytest.mark.parametrize("cycle", [0, 8, 12.0, "12", True, None])
-def test_only_the_cycles_of_rsi_are_taken(cycle):
-    with pytest.raises(
-        ConfigurationError,
-        match="cycle.*4 or 12 ms: RSI_ON with #IPO_FAST or #IPO",
-    ):
-        Cell(cycle=cycle)
-
-
 # -- the parts ---------------------------------------------------------------------------------------------------------
-
-
-def test_jitter_between_telegrams_makes_the_delay_no_longer_than_it_must_be():
-    limits = MotionLimits(("A1",), (-9.0,), (9.0,), (9.0,), (9.0,))
-    playout = Playout(PlayoutBounds(20_000_000, 20_000_000, 250_000_000), PlayoutRate(limits, 3, 12_000_000))
-    for k in range(3000):
-        playout.push(10**18 + k * CYCLE_NS, (k * 1e-4,), 0)
-        if k % 3 == 2:
-            playout.advance(12_000_000)
-            assert playout.silence == 0
-    assert playout.delay == 20_000_000
-    assert playout.status_fields()["lead_ms"] == pytest.approx(16.0, abs=4.0)
 
 
 def test_the_last_resort_brakes_per_cycle_of_12_ms():

@@ -3,19 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 
 import pytest
-from gateway_cell import RUN, START, Cell, following, gap, jump_ahead, other_source, slow
+from gateway_cell import RUN, START, Cell, following, gap, slow
 
-from construction_twin.core.units import CYCLE_NS, NANOSECONDS
-from construction_twin.gateway.config import GatewayConfig
+from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.gateway import Gateway, State
-from construction_twin.mock.config import MockConfig
-from construction_twin.mock.controller import MockController
-from construction_twin.mock.servo import IdealServo
-from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
 from construction_twin.rsi.layout import RsiLayout
 
 PLAIN = RsiLayout.plain(("A1", "A2"))
@@ -142,87 +135,5 @@ def test_without_a_stop_channel_the_end_is_refused_and_nothing_is_stopped():
 
 # -- a linear axis through codec, session and mock ----------------------------------------------------------------------
 
-TRACK = ("E1", "A1")
-TRACK_LAYOUT = dataclasses.replace(
-    RsiLayout.plain(TRACK), receive=("Stop", "AK.A1", "EK.E1"), holdon=(False, True, True)
-)
-TRACK_CONFIG = GatewayConfig(
-    "arm",
-    TRACK,
-    (-1.0, -3.0),
-    (5.0, 3.0),
-    (2.5, 2.0),
-    (6.81, 2.5),
-    decimals=6,
-    linear=("E1",),
-    layout=TRACK_LAYOUT,
-    e1_sign=-1,
-    e1_offset=0.15,
-)
-
-
-class TrackCell(Cell):
-    """A real mock controller with a track in the place of the simulated one: bytes both ways."""
-
-    def __init__(self):
-        super().__init__()
-        self.config = config = TRACK_CONFIG
-        self.gateway = Gateway(config, RUN)
-        self.codec = JointStringCodec.of_config(config)
-        start = (2.0, 0.1)
-        mock = MockConfig(
-            TRACK, start, config.lower, config.upper, config.velocity, config.acceleration, config.layout, config.units
-        )
-        self.mock = MockController(mock, IdealServo(1), lambda q: ((*q, 0.0), (0.0,) * 3))
-        self.decoder = RobotDecoder(TRACK, config.units)
-        self.encoder = SensorEncoder.of(config.layout, TRACK, config.units)
-        self.bytes = []
-
-    def cycle(self, count=1):
-        for _ in range(count):
-            self.now += CYCLE_NS
-            packet = self.mock.begin_cycle()
-            if packet is None:
-                return
-            telegram = self.decoder.parse(packet)
-            reply = self.gateway.on_telegram(telegram, self.source, self.now)
-            self.bytes.append(
-                self.encoder.encode(reply, telegram.controller_ms, True if self.gateway.ends_program else None)
-            )
-            self.mock.receive(self.bytes[-1])
-
-
-def test_a_track_follows_its_stream_in_metres_against_a_controller_that_counts_otherwise():
-    cell = TrackCell()
-    cell.cycle(3)
-    assert cell.arm() == (True, "armed")
-    poses = [(2.0 + 0.5 * min(k, 500) ** 2 * 1e-6 * (3 - 2 * min(k, 500) / 500), 0.1) for k in range(700)]
-    cell.stream(cell.codec.quantise(q) for q in poses)
-    assert cell.state is State.FOLLOWING and cell.count("settling") == 0
-    assert cell.mock.running and cell.mock.measured == pytest.approx(poses[-1], abs=1e-6)
-    # 125 mm towards the controller's negative side
-    sent = re.search(rb'<EK E1="([^"]*)"', cell.bytes[-1])
-    assert float(sent.group(1)) == pytest.approx(-125.0, abs=1e-4)
-    assert b"<Stop>0</Stop>" in cell.bytes[-1]
-    assert cell.control("end")[0]
-    cell.cycle(200)
-    assert cell.mock.reason == "stop: requested by the PC, RSI_MOVECORR ended"
-
 
 # -- why a session began -----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "change, said, jump",
-    [(jump_ahead, "IPOC jumped by 504 ms", 504), (other_source, "another source", 0), (gap, "after silence", 0)],
-)
-def test_the_status_says_why_a_session_began_and_how_far_ipoc_jumped(change, said, jump):
-    cell = Cell()
-    cell.cycle(3)
-    assert "the first telegram after silence" in cell.gateway.reason
-    if change is other_source:
-        cell.now += NANOSECONDS // 5
-    change(cell)
-    cell.cycle()
-    assert said in cell.gateway.reason
-    assert cell.gateway.status()["last_ipoc_jump_ms"] == jump

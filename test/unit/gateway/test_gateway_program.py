@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -31,7 +29,6 @@ from construction_twin.core.udp import bind
 from construction_twin.core.units import CYCLE, format_allowance
 from construction_twin.mqtt.fast_client import TESTED_VERSIONS
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.rsi.ethernet_xml import load_ethernet_xml
 
 pytestmark = pytest.mark.realtime
 
@@ -70,25 +67,6 @@ def program(config_file, port, topics, *options, code="", address=("127.0.0.1", 
     finally:
         process.kill()
         process.communicate(timeout=10.0)
-
-
-def test_every_run_names_itself_and_a_recorded_arm_is_void_in_the_next(broker, topics, config_file):
-    runs = []
-    with client_of(broker, topics) as client:
-        for _ in range(2):
-            with program(config_file, broker, topics) as (_, address), controller_of(address) as controller:
-                controller.start()
-                client.wait_for_status(state="ready")
-                assert client.status()["run"] not in runs
-                runs.append(client.status()["run"])
-                assert re.fullmatch("[0-9a-f]{16}", runs[-1])
-                for former in runs[:-1]:
-                    said = f"run '{former}' is not the gateway's present one"
-                    assert client.arm(run=former)["reason"].startswith(said)
-                    client.wait_for_counter("refused_arm", 1)
-                    assert client.status()["last_refusal"].startswith(f"arm: {said}")
-                assert client.arm(run=runs[-1])["ok"]
-            client.wait_for_status(state="offline")
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM])
@@ -158,23 +136,6 @@ def test_a_killed_gateway_joins_the_running_session_answers_nothing_and_waits_fo
     assert len({cycle.answered for cycle in after}) == 1, "no reply to a session that it joined"
     assert len({cycle.correction for cycle in after}) == 1, "HOLDON"
     assert max(cycle.missed for cycle in after) >= 2499
-
-
-def test_an_ethernet_xml_that_sends_elsewhere_is_warned_of(broker, topics, config_file, tmp_path):
-    lines = (ROOT / "krl" / "ethernet" / "ctwin_ethernet.xml").read_text().splitlines()
-    file = tmp_path / "eth.xml"
-    file.write_text("\n".join(line for line in lines if not re.search('"AK.A[3-6]"', line)))
-    config = dataclasses.replace(CONFIG, layout=load_ethernet_xml(file).layout)
-    Path(config_file).write_text(config.to_json())
-    with (
-        client_of(broker, topics) as client,
-        program(config_file, broker, topics, "--ethernet-xml", str(file)) as (process, _),
-    ):
-        client.wait_for_status(state="no_controller")
-        process.send_signal(signal.SIGTERM)
-        _, log = process.communicate(timeout=10.0)
-    assert "tells the controller to send to address 192.168.1.10, not 127.0.0.1" in log
-    assert "tells the controller to send to port 49152, not" in log
 
 
 def test_sigterm_ends_the_program_cleanly(broker, topics, config_file):
@@ -313,36 +274,3 @@ def test_debian_s_paho_is_refused_in_one_sentence_that_names_the_version_that_is
     result = subprocess.run(command, capture_output=True, text=True, timeout=60.0, env=environment, cwd="/")
     assert result.returncode == 1 and result.stderr.count("\n") == 1
     assert f"needs paho-mqtt {TESTED_VERSIONS[-1]};" in result.stderr
-
-
-#: Lines that make one part of the program raise an unexpected exception.
-_BROKEN = {
-    "loop": "service.Gateway.poll = broken",
-    "log's thread": "logging.handlers.QueueListener.handle = broken",
-    "connecting thread": "mqtt_connection.PolledClient._try_connect = broken",
-}
-
-
-@pytest.mark.parametrize("part", _BROKEN)
-def test_a_program_that_has_failed_holds_on_and_says_so(broker, topics, config_file, part):
-    code = (
-        "import logging.handlers, sys; from construction_twin.gateway import command_line, mqtt_connection, service\n"
-        "calls = []\n"
-        "def broken(self, *arguments):\n"
-        "    calls.append(self)\n"
-        "    if len(calls) == 1: raise ZeroDivisionError('injected')\n"
-        "    if ORIGINAL is not None: ORIGINAL(self, *arguments)\n"
-        "ORIGINAL = getattr(mqtt_connection.PolledClient, '_try_connect') if CONNECTS else None\n".replace(
-            "CONNECTS", str(part == "connecting thread")
-        )
-        + _BROKEN[part]
-        + "\nsys.exit(command_line.main(sys.argv[1:]))"
-    )
-    with client_of(broker, topics) as client, program(config_file, broker, topics, code=code) as (process, _):
-        client.wait_for_status(state="failed", fault=True)
-        process.send_signal(signal.SIGTERM)
-        _, log = process.communicate(timeout=10.0)
-    assert process.returncode == 1
-    # an exception that ends a thread is written by Python itself as well: the log's own thread may be the one
-    assert log.count("Traceback") == {"loop": 1, "log's thread": 1, "connecting thread": 2}[part]
-    assert "ZeroDivisionError: injected" in log

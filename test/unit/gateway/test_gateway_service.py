@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import itertools
 import json
 import logging
@@ -91,14 +90,6 @@ def test_a_retained_message_is_refused_when_it_comes_live_too(broker, topics):
         assert client.status()["last_refusal"].startswith("retained: a message on control")
         assert service.gateway.status()["state"] == "ready"
         client.paho.publish(topics.control, b"", qos=1, retain=True)
-
-
-def test_the_status_is_there_for_whoever_comes_later(broker, topics):
-    with cell(broker, topics):
-        with client_of(broker, topics) as late:
-            late.wait_for_status(state="ready", hash=CONFIG.hash, decimals=3, properties=True)
-            assert late.on(topics.status)[0].retain
-            assert {"p50", "p99", "p99_9", "max"} <= set(late.status()["reply_us"])
 
 
 def test_when_the_broker_dies_the_arm_brakes_replies_go_on_and_the_gateway_comes_back(broker_process, topics):
@@ -193,22 +184,3 @@ def test_a_broker_that_ends_together_with_the_gateway_is_no_error(broker_process
         service.stop()
         broker_process.kill()
     assert [record.message for record in caplog.records if record.levelno >= logging.WARNING] == []
-
-
-def test_the_string_alone_moves_the_arm(broker, topics):
-    config = dataclasses.replace(PATIENT, properties=False)
-    with serving(broker, topics, config) as (service, address), controller_of(address) as controller:
-        with client_of(broker, topics) as client:
-            controller.start()
-            client.wait_for_status(state="ready", properties=False)
-            assert client.arm(config)["ok"]
-            begin = len(controller.replies)
-            for k in range(150):
-                client.paho.publish(topics.command, CODEC.encode(motion(min(k, 100))))
-                wait_until(lambda: len(controller.replies) > begin + k, what="the next cycle")
-            end = CODEC.quantise(motion(100))
-            wait_until(
-                lambda: controller.measured == pytest.approx(end, abs=math.radians(1e-6)), what="the end of the motion"
-            )
-            assert received_pairs(client.on(topics.state)[-1]) == []
-            assert CODEC.decode(client.on(topics.state)[-1].payload)

@@ -17,8 +17,7 @@ from service_cell import (
     stream,
 )
 
-from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.udp import MAX_TELEGRAM, address_of, bind
+from construction_twin.core.udp import bind
 from construction_twin.core.units import CYCLE
 from construction_twin.gateway.states import State
 from construction_twin.mock.faults import Fault
@@ -149,37 +148,3 @@ def test_a_reply_that_the_system_does_not_send_is_counted(topics):
         controller.send()
         wait_until(lambda: service.gateway.counters[f"udp_send_{errno.EPERM}"] == 1)
         assert service.failure == ""
-
-
-def test_a_datagram_longer_than_any_telegram_is_refused_by_its_size(topics):
-    with serving(free_port(), topics) as (service, address), controller_of(address) as controller:
-        controller.cycle()
-        # white space behind the root is still one document: only its size is wrong
-        longest = controller.telegram(controller.ipoc + 4).ljust(MAX_TELEGRAM)
-        for data in (longest + b" ", longest.ljust(60_000), b"<Rob>" * 12_000):
-            controller.send(data)
-        controller.ipoc += 4
-        controller.send(longest)
-        assert controller.receive() == (0.0, 0.0)
-        counters = service.gateway.counters
-        assert (counters["telegram_refused_size"], counters["telegrams"], counters["rsi_sessions"]) == (3, 2, 1)
-
-
-def resolver(*addresses):
-    return lambda host, port, family, kind: [(family, kind, 17, "", (address, 0)) for address in addresses]
-
-
-def test_a_controller_s_name_is_looked_up(monkeypatch):
-    assert address_of("192.168.1.20", "--controller") == "192.168.1.20"
-    # once per protocol or alias, as resolvers answer: still one address
-    monkeypatch.setattr(socket, "getaddrinfo", resolver("192.168.1.20", "192.168.1.20"))
-    assert address_of("krc4", "--controller") == "192.168.1.20"
-
-
-def test_a_name_of_several_addresses_is_no_controller(monkeypatch):
-    monkeypatch.setattr(socket, "getaddrinfo", resolver("192.168.1.20", "10.0.0.20"))
-    with pytest.raises(
-        ConfigurationError,
-        match=r"the name stands for 10\.0\.0\.20, 192\.168\.1\.20, give",
-    ):
-        address_of("krc4", "--controller")

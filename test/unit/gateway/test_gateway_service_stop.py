@@ -42,20 +42,3 @@ def test_a_stop_mid_motion_brakes_is_answered_and_names_who(broker, topics):
         assert_still(controller)
         assert not client.arm(PATIENT, "s2")["ok"]
         assert client.control("reset", session="s2")["ok"] and client.arm(PATIENT, "s2")["ok"]
-
-
-def test_what_is_no_stop_is_refused_answered_and_counted(broker, topics):
-    with cell(broker, topics) as (service, controller, client):
-        client.arm()
-        bad = [b"", b"stop", b"{}", b'{"id": 1}', b'{"id": "1", "session": "s1"}', b"x" * 5000]
-        for number, payload in enumerate(bad):
-            answer = press(client, topics, payload, f"account-{number}")
-            known = "1" if b"session" in payload else ""
-            assert (answer["ok"], answer["id"], answer["account"]) == (False, known, f"account-{number}")
-        client.wait_for_counter("refused_stop", len(bad))
-        retained = press(client, topics, b'{"id": "1"}', "retainer", retain=True)
-        assert not retained["ok"] and "retain flag" in retained["reason"]
-        client.paho.publish(topics.stop_by("retainer"), b"", qos=1, retain=True)
-        assert not press(client, topics, b'{"id": "1"}', "no account")["ok"]
-        client.wait_for_counter("refused_sender", 1)
-        assert client.status()["state"] == "armed"

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import logging
 
 import pytest
 from gateway_cell import Cell, following
 from processes import wait_until
 from service_cell import PATIENT, assert_still, cell, motion, stream
 
-from construction_twin.core.rate_limit import LineLimiter, SenderLimits
+from construction_twin.core.rate_limit import SenderLimits
 from construction_twin.gateway.control import Ownership
 from construction_twin.gateway.gateway import Gateway, State
 from construction_twin.gateway.player import StopReport
@@ -65,38 +64,6 @@ def press(client, topics, way: str) -> dict:
     client.paho.publish(topics.stop_by("arm-stopper-bob"), b'{"id": "7"}', qos=1)
     wait_until(lambda: len(client.on(topics.stop_ack)) > count, what="an answer on stop/ack")
     return json.loads(client.on(topics.stop_ack)[count].payload)
-
-
-def failing_log(note):
-    """Return a limiter of lines that fails for those of a stop."""
-    return lambda self, kind, now: fail() if kind.startswith("stop") else note(self, kind, now)
-
-
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize(
-    "what, owner, name, broken",
-    [
-        ("the_log", LineLimiter, "admit", failing_log(LineLimiter.admit)),
-        ("the_way_to_rest", StopReport, "begin", fail),
-        ("the_way_to_rest", StopReport, "advance", fail),
-    ],
-)
-def test_a_running_gateway_answers_counts_and_says_it(
-    broker, topics, monkeypatch, caplog, way, what, owner, name, broken
-):
-    with (
-        caplog.at_level(logging.ERROR, "rsi_gateway"),
-        cell(broker, topics, config=PATIENT) as (service, controller, client),
-    ):
-        assert client.arm(PATIENT)["ok"]
-        stream(client, controller, (motion(k) for k in range(60)))
-        monkeypatch.setattr(owner, name, broken)
-        assert press(client, topics, way)["ok"]
-        client.wait_for_status(state="holding", fault=True)
-        wait_until(lambda: client.status()["counters"].get(f"failed_beside_{what}"), what="the count")
-        wait_until(lambda: any("nobody foresaw this" in line for line in caplog.messages), what="the line")
-        assert not service.failure
-        assert_still(controller)
 
 
 @pytest.mark.parametrize("way", WAYS)

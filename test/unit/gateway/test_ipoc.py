@@ -57,25 +57,6 @@ def test_a_wrap_in_mid_motion_is_a_cycle_like_any_other(offset):
     assert cell.count("settling") == 0
 
 
-@pytest.mark.parametrize("missed", [1, 10, 99])
-def test_telegrams_that_were_lost_at_the_wrap_are_lost_telegrams(missed):
-    cell = moving(STAMP_WRAP)
-    wrap(cell)
-    cell.ipoc += 4 * missed
-    assert cell.cycle() is not None
-    assert (cell.count("rsi_sessions"), cell.count("ipoc_steps_irregular")) == (1, 1)
-
-
-def test_a_telegram_from_before_the_wrap_that_comes_late_is_a_repeated_one():
-    cell = moving(STAMP_WRAP)
-    wrap(cell)
-    cell.cycle()
-    cell.ipoc += STAMP_WRAP - 8
-    assert cell.cycle() is None
-    assert (cell.count("telegrams_repeated"), cell.count("rsi_sessions")) == (1, 1)
-    assert cell.state is State.FOLLOWING
-
-
 @pytest.mark.parametrize(
     "last, ipoc",
     [
@@ -107,19 +88,6 @@ def test_a_count_of_64_bits_is_followed_and_recorded(tmp_path, ipoc):
     assert trace_excesses(entries, cell.config.limits, 3) == []
     assert all(entry.time_since(before) == 4 for before, entry in pairwise(entries))
     assert cell.count("settling") == 0 and cell.state is State.FOLLOWING
-
-
-@pytest.mark.parametrize("start", [STAMP_WRAP - 2_000, STAMP_WRAP + 2_000, 2**64 - 100_000])
-def test_the_controller_s_cycle_and_clock_are_measured_across_it(start):
-    cell = Cell(measures=True)
-    cell.ipoc = start
-    for _ in range(1500):
-        if start < STAMP_WRAP <= cell.ipoc + 4:
-            wrap(cell)
-        cell.cycle()
-    report = cell.gateway.status()["cycle"]
-    assert (report["ipoc_step_ms"], report["rate"]) == (4, 1.0)
-    assert (cell.state, cell.count("rsi_sessions")) == (State.READY, 1)
 
 
 PEER = ("192.168.1.20", 49152)

@@ -82,20 +82,6 @@ def test_several_commands_at_once_play_at_the_controllers_pace():
     assert stamps == pytest.approx([before + k * CYCLE_NS for k in (1, 2, 3, 4)], abs=10 * CALM_CHANGE * CYCLE_NS)
 
 
-def test_after_an_underflow_playing_goes_on_where_time_is():
-    link = Link()
-    for _ in range(10):
-        link.cycle()
-    for _ in range(8):
-        link.playout.advance(CYCLE_NS)
-    for _ in range(8):
-        link.send()
-    # what was due during the underflow is not played late: time went on
-    stamp, q = link.playout.advance(CYCLE_NS)
-    assert stamp == T0 + 14 * CYCLE_NS - round(URGENT_CHANGE * CYCLE_NS)
-    assert q == pytest.approx(pose(14), abs=1e-6)
-
-
 def crowd(link, count, q=None):
     """Let the sender run ahead by `count` commands."""
     for _ in range(count):

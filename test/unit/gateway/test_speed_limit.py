@@ -233,23 +233,6 @@ class TestPlaying:
         assert_on_path(cell, 3e-8 if decimals == 6 else 5e-5)
         assert cell.count("settling") == 0 and cell.state is State.FOLLOWING
 
-    def test_afterwards_the_delay_returns_to_normal_without_a_jump(self):
-        cell = armed(speed_limit_backlog=10.0)
-        play(cell, (curve(k) for k in range(500)), limit=0.1)
-        report = cell.gateway.status()["playout"]
-        assert report["put_off_ms"] > 300.0 and report["delay_ms"] == 20.0
-        play(cell, (curve(k) for k in range(500, PERIOD * 2)), limit=1.0)
-        left = cell.gateway.status()["playout"]["put_off_ms"]
-        assert 0.0 < left < report["put_off_ms"]
-        # once the sender rests, the rest of the motion is played out, and nothing is left
-        play(cell, [curve(PERIOD * 2)] * 700, limit=1.0)
-        report = cell.gateway.status()["playout"]
-        assert (report["put_off_ms"], report["to_move_ms"], report["rate_percent"]) == (0.0, 0.0, 0.0)
-        assert report["lead_ms"] == 16.0 and cell.measured == pytest.approx(curve(0), abs=2e-8)
-        assert_within_limits(cell)
-        assert_on_path(cell)
-        assert cell.count("settling") == 0 and cell.state is State.FOLLOWING
-
     def test_a_backlog_beyond_the_bound_is_braked_for_and_explained(self):
         cell = armed(speed_limit_backlog=1.0, speed_limit_silent=0.0)
         cell.control("speed_limit", value=0.0)
@@ -283,31 +266,6 @@ class TestPlaying:
             limit.poll(now)
             fractions.append(limit.fraction)
         assert fractions == [1.0] * 5 + [0.0] * 15 and limit.source == "silence"
-
-    @pytest.mark.parametrize("hole", ["commands", "telegrams"])
-    @pytest.mark.parametrize("fraction", [0.0, 0.1, 0.25])
-    def test_what_was_missed_is_made_up_for_within_the_limit(self, hole, fraction):
-        cell = armed(speed_limit_backlog=60.0)
-        # a sender that obeys: RATIO makes A2 the joint that uses most of its fraction
-        rate = 0.98 * max(fraction, 0.05) * cell.config.velocity[1] / (RATIO * 0.15)
-        play(cell, (curve(k, rate) for k in range(400)), limit=max(fraction, 0.05))
-        play(cell, (curve(k, rate) for k in range(400, 500)), limit=fraction)
-        since = len(cell.positions)
-        for k in range(500, 520):
-            cell.send(curve(k, rate)) if hole == "telegrams" else cell.cycle()
-            cell.positions.append(cell.measured)
-        if hole == "commands":
-            cell.stamp, cell.seq = cell.stamp + 20 * CYCLE_NS, cell.seq + 20
-        else:
-            cell.cycle(step_ms=84)
-            cell.positions.append(cell.measured)
-        play(cell, (curve(k, rate) for k in range(520, 800)), limit=fraction)
-        assert cell.state is State.FOLLOWING
-        # to be in force, the last change needs its grace
-        assert fastest(cell, since) <= max(fraction, 0.05) + 1e-3
-        assert fastest(cell, since + 150) <= fraction + 1e-3
-        # lost telegrams are HOLDON's: it stops the arm dead
-        assert_within_limits(cell, cell.positions[since + 2 if hole == "telegrams" else 0 :])
 
     def test_the_limit_holds_for_the_next_session_too(self):
         cell = armed()

@@ -18,7 +18,6 @@ from construction_twin.gateway.tool_switches import (
     MOST_AHEAD,
     ToolSwitches,
 )
-from construction_twin.mock.faults import Fault, FaultBoard
 
 GRIPPED = {"vacuum_reached": True}
 
@@ -298,22 +297,6 @@ def test_what_a_person_switches_at_the_pendant_before_the_first_switch_is_right(
     assert cell.out and cell.status()["commanded"] == {"vacuum": True} and cell.status()["reason"] == ""
 
 
-def test_outputs_that_read_back_as_something_else_are_told():
-    cell = gripped()
-    cell.tool.outputs["vacuum"] = False
-    cell.go_on(round(LONGEST_DIFFERENCE * 250))
-    assert cell.status()["reason"] == ""
-    cell.gateway.pop_change()
-    cell.go_on(2)
-    assert cell.gateway.pop_change()
-    assert cell.status()["reason"] == "vacuum reads back off, commanded on, for more than 0.1 s"
-    assert cell.gateway.counters["tool_outputs_differ"] == 1 and cell.status()["known"] is False
-    assert cell.status()["outputs"] == {"vacuum": False}
-    cell.tool.outputs["vacuum"] = True
-    cell.go_on(2)
-    assert cell.status()["reason"] == "" and cell.status()["known"] is True
-
-
 def test_while_outputs_differ_nothing_is_switched_and_the_sentence_says_what_to_do():
     cell = gripped()
     assert cell.ask(True, ahead=60, id="waiting")[0]
@@ -375,17 +358,6 @@ def test_at_the_end_of_rsi_outputs_are_kept_or_switched_off():
         cell.cycle(5)
         assert not cell.controller.running and cell.controller.reason.startswith("stop: requested")
         assert cell.out is held
-
-
-def test_no_read_back_is_a_fault_of_the_mock():
-    cell = ToolCell().follow()
-    faults = FaultBoard(cell.controller, 0)
-    faults.inject(Fault("no_read_back"))
-    cell.go_on(2)
-    assert cell.status()["known"] is False
-    faults.end(Fault("no_read_back"))
-    cell.go_on(2)
-    assert cell.status()["known"] is True
 
 
 # -- how often it is told

@@ -54,14 +54,6 @@ def test_a_track_is_corrected_in_millimetres_and_reported_in_metres():
     assert cell.mock.running
 
 
-def test_a_track_beyond_its_end_stops_rsi_like_any_axis():
-    cell = Cell(start_pose=(4.9999, 0.1, -1.0), correction_upper=(1.0, 1.0, 1.0))
-    cell.cycle()
-    cell.cycle((0.001, 0.0, 0.0))
-    assert cell.cycle() is None
-    assert cell.mock.reason == "software limit E1: 5000.9 mm, range -2000 mm to 5000 mm"
-
-
 # -- the STOP object ---------------------------------------------------------------------------------------------------
 
 

@@ -39,25 +39,6 @@ def test_a_one_second_has_250_packets_on_an_absolute_grid(robot, pc):
     assert counters["foreign"] == counters["send_errors"] == 0
 
 
-def test_packets_can_be_doubled_dropped_and_delayed_on_purpose(robot, pc):
-    with running(robot, pc.address) as mock:
-        wait_for(lambda: len(pc.received) >= 20)
-        mock.request(lambda: mock.faults.inject(Fault("duplicate", values=(1.0,), direction="to_pc")))
-        wait_for(lambda: mock.counters["doubled"] >= 20)
-        mock.request(lambda: mock.faults.end(Fault("duplicate", direction="to_pc")))
-        # the second reply to a doubled packet
-        wait_for(lambda: mock.counters["duplicates"] >= 5)
-        mock.request(lambda: mock.faults.inject(Fault("drop", values=(0.5,), direction="to_controller", duration=0.4)))
-        wait_for(lambda: mock.counters["dropped"] >= 10)
-        assert mock.counters["missed"] >= 9
-        wait_for(lambda: not mock.faults.active)
-        mock.request(lambda: mock.faults.inject(Fault("delay", values=(0.006,), direction="to_controller")))
-        # later than a cycle: each comes when the next packet is out
-        wait_for(lambda: mock.counters["late_replies"] >= 20)
-    ipocs = [entry[1].controller_ms for entry in pc.received]
-    assert len(ipocs) > len(set(ipocs))
-
-
 def test_after_an_emergency_stop_a_person_starts_rsi_again(robot, pc):
     with running(robot, pc.address, restart_after=0.05) as mock:
         wait_for(lambda: len(pc.received) >= 20)

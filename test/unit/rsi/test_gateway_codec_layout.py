@@ -70,17 +70,6 @@ def test_stop_is_sent_where_it_is_declared():
     assert b"Stop" not in SensorEncoder("ImFree", AXES).encode(POSE + (0.0,), 4)
 
 
-def test_the_controller_reads_what_the_gateway_wrote_and_misses_what_is_not_there():
-    decoder = SensorDecoder(LAYOUT.sentype, AXES, LAYOUT.receive, UNITS)
-    correction = (0.002, *map(math.radians, (1, 2, 3, 4, 5, 6)))
-    data = SensorEncoder.of(LAYOUT, AXES, UNITS).encode(correction, 12, stop=True)
-    telegram = decoder.parse(data)
-    assert telegram.target == pytest.approx(correction) and telegram.stop is True
-    for part in (b'<EKorr E1="2.000000"/>', b' A4="4.000000"', b"AKorr"):
-        with pytest.raises(TelegramError):
-            decoder.parse(data.replace(part, b"" if part != b"AKorr" else b"AK"))
-
-
 @pytest.mark.parametrize("missing, said", [(b"EIPos", "EIPos"), (b"ASPos", "ASPos")])
 def test_half_a_position_is_refused(missing, said):
     data = re.sub(rb"<%s [^>]*/>" % missing, b"", encode(Q))

@@ -20,7 +20,7 @@ from construction_twin.mock.faults import Fault, FaultBoard
 from construction_twin.rsi.controller_codec import RobotEncoder
 from construction_twin.rsi.gateway_codec import RobotDecoder
 from construction_twin.rsi.layout import RsiLayout
-from construction_twin.rsi.status_channels import RsiStatus, StatusReader, status_channels
+from construction_twin.rsi.status_channels import RsiStatus, StatusReader
 
 POSE = (0.0,) * 6
 BLOCKS = ("AIPos", "ASPos", "Delay")
@@ -44,12 +44,6 @@ def telegram(send, status, ipoc=1000):
 def test_what_a_controller_says_is_read_in_any_order_plain_and_dotted(channels, send, mode, program, override):
     status = RsiStatus(mode, program, override)
     assert StatusReader(channels).read(telegram(send, status)) == (status, 0)
-
-
-def test_only_the_channels_that_the_file_declares_are_read():
-    assert status_channels(("RIst", "Mode", "GearTorque.A1", "ProgStatus.S", "OvPro.R", "Modes")) == ("Mode", "OvPro.R")
-    data = telegram((*BLOCKS, *PLAIN), RsiStatus(1, 4, 30))
-    assert StatusReader(("ProgStatus",)).read(data) == (RsiStatus(program=4), 0)
 
 
 @pytest.mark.parametrize(
@@ -192,19 +186,6 @@ def test_the_mock_says_aut_active_and_full_override_unless_it_is_told_otherwise(
         faults.end(Fault(name))
     assert said(cell, channels) == RsiStatus(3, 3, 100.0)
     assert cell.mock.running and cell.mock.counters["missed"] == 0
-
-
-def test_the_mock_in_t1_says_so():
-    cell, faults = mock()
-    faults.inject(Fault("t1"))
-    assert said(cell).mode == 1
-    faults.inject(Fault("mode", values=(4.0,), duration=0.1))
-    assert said(cell).mode == 4
-    for _ in range(26):
-        faults.tick()
-    assert said(cell).mode == 1
-    faults.end(Fault("t1"))
-    assert said(cell).mode == 3
 
 
 @pytest.mark.parametrize(
