@@ -13,7 +13,7 @@ from construction_twin.msg import Feedback, Link
 from construction_twin.srv import ActAsSeen
 from twin_client import HOME, LEFT, RobotTest, Stream, wait
 
-from construction_twin.link.bare_supervisor import NOT_CHECKED
+from construction_twin.link.supervisor import NOT_CHECKED
 
 
 class BarePlcTest(RobotTest):

@@ -15,7 +15,7 @@ from construction_twin.link.observations import LinkState
 from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import PROTOCOL, Topics, parse_control
-from construction_twin.ros.nodes.mqtt_bridge import MIRROR_MODE, NODE, WAITS, MqttBridge, Settings
+from construction_twin.ros.nodes.mqtt_bridge import NODE, WAITS, MqttBridge, Settings
 
 
 class Clocks:
@@ -82,12 +82,12 @@ class Refusals:
         self.refused[reason] += 1
 
 
-def open_node_io(diagnostics, mirrors=False, waits="", keep=lambda name, value: None) -> SimpleNamespace:
+def open_node_io(diagnostics, waits="", keep=lambda name, value: None) -> SimpleNamespace:
     """Return a node's IO whose publishers are lists, by topic, and what an earlier bridge has kept; `keep` takes name and value."""
     return SimpleNamespace(
         publishers=defaultdict(Published),
         diagnostics=diagnostics,
-        parameters={"gateway": {}, MIRROR_MODE: mirrors, WAITS: waits},
+        parameters={"gateway": {}, WAITS: waits},
         parameter_writer=lambda name: lambda value: keep(name, value),
     )
 

@@ -9,10 +9,9 @@ from types import SimpleNamespace
 import pytest
 
 from construction_twin.core.units import NANOSECONDS, last_digit
-from construction_twin.link.bare_supervisor import BareSupervisor
 from construction_twin.link.gateway_status import GatewayAnswer, GatewayStatus, parse_status, read
 from construction_twin.link.observations import LinkState
-from construction_twin.link.supervisor import LinkSupervisor
+from construction_twin.link.supervisor import BareSupervisor, LinkSupervisor
 from construction_twin.mqtt.messages import PROTOCOL
 
 HASH, DECIMALS, RUN = "cafe", 3, "run1"
@@ -38,9 +37,9 @@ def moved(distance: float) -> tuple[float, ...]:
 class Bench:
     """A supervisor, its clock, and what the world around it does in every poll."""
 
-    def __init__(self, mirrors: bool = False):
+    def __init__(self, waits: str = ""):
         ids = map(str, itertools.count(1))
-        self.supervisor = LinkSupervisor(CONFIG, lambda: next(ids), mirrors)
+        self.supervisor = LinkSupervisor(CONFIG, lambda: next(ids), waits)
         self.now = 100 * NANOSECONDS
         self.gateway = {
             "state": "ready", "reason": "", "session": "", "fault": False, "fault_number": 0, "run": RUN, "hash": HASH,
@@ -113,7 +112,6 @@ class BareBench:
         self.supervisor = BareSupervisor(CONFIG, lambda: next(ids))
         self.now = 100 * NANOSECONDS
         self.word: str | None = "ready"
-        self.refusal = ""
         self.pose: tuple[float, ...] | None = POSE
         self.command: tuple[float, ...] | None = POSE
         self.sent = []
@@ -135,9 +133,7 @@ class BareBench:
             # retained, and said once: not repeated as a gateway's status is
             self.publish_word(self.word)
             self._said = self.word
-        if self.refusal:
-            self.supervisor.inputs.on_pose_refused(self.refusal, self.now)
-        elif self.pose is not None:
+        if self.pose is not None:
             self.supervisor.inputs.on_pose(self.pose, self.now)
         if self.command is not None:
             self.forwarded = bool(self.supervisor.on_command(self.command, self.now))

@@ -1,6 +1,6 @@
-"""What the bridge decides: joint strings, control messages and reports, and what a person's request for a session comes to.
+"""What the bridge decides: joint strings, control messages, reports, and the answer to a person's request for a session.
 
-Pure: events in; messages, reports and answers out. Times are arguments [ns]. Not for use from several threads.
+Pure: events in; messages, reports and answers out. Times are arguments [ns].
 """
 
 from __future__ import annotations
@@ -16,10 +16,9 @@ from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.core.travel_time import TravelTime
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.link.bare_supervisor import BareSupervisor
 from construction_twin.link.gateway_status import GatewayAnswer, GatewayStatus, cut, without_counts
 from construction_twin.link.observations import SHOWN_AFTER, LinkState
-from construction_twin.link.supervisor import LinkSupervisor
+from construction_twin.link.supervisor import BareSupervisor, LinkSupervisor
 from construction_twin.link.tool_link import ToolLink
 from construction_twin.mqtt.joint_string import JointStringCodec
 from construction_twin.mqtt.messages import (
@@ -33,13 +32,12 @@ from construction_twin.mqtt.messages import (
     read_state_properties,
 )
 
-#: So long a failed request waits for the gateway's word that nothing of it is in force [ns].
+#: Longest wait of a failed request for the gateway's answer that nothing of it is in force [ns].
 WITHDRAWAL = NANOSECONDS
 #: Between two reports of an unchanged link [ns].
 _REPEAT = NANOSECONDS
 #: Between two messages of an unchanged speed limit, and of any [ns].
 LIMIT_PERIOD, LIMIT_PAUSE = NANOSECONDS // 5, NANOSECONDS // 50
-#: What `halt` comes to with a bare PLC.
 PLC_HALTED = Sentence(
     "no more strings are sent to the PLC, and the plan is dropped: a lawful PLC brakes on silence; a person arms again, by name"
 )
@@ -51,88 +49,61 @@ _NO_PROPERTIES = StateProperties(0, 0, 0)
 
 
 class StateCheck:
-    """Which states of one gateway may be used: numbered in order, and none that was under way for too long.
+    """Which states of one gateway count: numbered in order, and none that travelled too long.
 
-    A single number or stamp that does not fit changes nothing; a new sequence, or a new clock, is believed after `CONFIRMATIONS` of
-    it in a row.
+    A new sequence, or a new clock, is believed after `CONFIRMATIONS` states of it in a row.
 
     Args:
         max_age: By how much longer than the quickest one of its run a state may travel [s].
 
     Attributes:
-        lost: States that the sequence numbers say were sent, but never came.
+        lost: States missing in the sequence.
     """
 
     def __init__(self, max_age: float):
         self.lost = 0
         self._limit = round(max_age * NANOSECONDS)
-        self._travel, self._early = TravelTime(), 0
+        self._travel = TravelTime()
         self.restart()
 
     def restart(self) -> None:
-        """Start over: the gateway said that it is gone, and its clock may be another."""
-        self._last = self._strange = self._followers = 0
-        self._forget_clock()
+        """Start over: the gateway is gone, and the next one's clock may be another."""
+        self._last = self._before = self._misfits = 0
+        self._travel.restart()
 
     def accept(self, seq: int, stamp: int, received: int) -> None:
-        """Take a state by its number, the gateway's stamp and the time of reception, each on its own clock [ns].
+        """Check a state by its number, the gateway's stamp and the time of reception, each on its own clock [ns].
 
         Raises:
-            PayloadError: ``sequence``; ``stale``; ``early``: so much quicker than all others that only further ones like it are
-                believed, because a single wrong stamp must not cause all later states to be refused.
+            PayloadError: ``sequence``; ``stale``; ``early``: so much quicker than all others that a single one is not believed.
         """
-        self._accept_number(seq)
-        excess = self._travel.excess(stamp, received)
-        if excess < -self._limit and self._early < CONFIRMATIONS:
-            self._early += 1
-            raise PayloadError("early", f"state travelled {-excess / NANOSECONDS:.3f} s less than the quickest one")
-        self._early = 0
-        self._travel.record(stamp, received)
-        if excess > self._limit:
+        last, jump, follows = self._last, seq - self._last, seq == self._before + 1
+        self._before, excess, misfit = seq, self._travel.excess(stamp, received), None
+        if last and not 0 < jump <= MAX_JUMP:
+            misfit = PayloadError("sequence", f"seq {seq} after {last}")
+        elif excess < -self._limit:
+            misfit = PayloadError("early", f"state travelled {-excess / NANOSECONDS:.3f} s less than the quickest one")
+        self._misfits = self._misfits + 1 if misfit and follows else int(misfit is not None)
+        if misfit and self._misfits <= CONFIRMATIONS:
+            raise misfit
+        if jump <= 0:
+            self._travel.restart()
+        elif last:
+            self.lost += jump - 1 - (CONFIRMATIONS if misfit else 0)
+        self._last, self._misfits = seq, 0
+        if (excess := self._travel.record(stamp, received)) > self._limit:
             raise PayloadError("stale", f"state is {excess / NANOSECONDS:.3f} s older than the freshest one")
-
-    def _accept_number(self, seq: int) -> None:
-        last = self._last
-        if not last or 0 < seq - last <= MAX_JUMP:
-            self.lost += seq - last - 1 if last else 0
-        else:
-            self._followers = self._followers + 1 if self._strange and seq == self._strange + 1 else 0
-            self._strange = seq
-            if self._followers < CONFIRMATIONS:
-                raise PayloadError("sequence", f"seq {seq} after {last}")
-            if seq < last:
-                self._forget_clock()
-            else:
-                self.lost += seq - last - 1 - CONFIRMATIONS
-        self._last, self._strange = seq, 0
-
-    def _forget_clock(self) -> None:
-        self._travel.restart()
-        self._early = 0
 
 
 class JointStrings:
-    """Commands and poses as joint strings with their user properties; one thread sends, another one receives.
-
-    Args:
-        max_age: Of a state, beyond that of the quickest one [s].
-    """
+    """Commands and poses as joint strings with their user properties; one thread sends, another one receives."""
 
     def __init__(self, codec: JointStringCodec, properties: bool, bare: bool, max_age: float):
         self._codec = codec
         self.properties = properties and not bare
         self._read_properties = no_properties if bare else read_state_properties
-        self._check = StateCheck(max_age)
+        self.check = StateCheck(max_age)
         self.sent = self.received = 0
-
-    @property
-    def lost(self) -> int:
-        """States that the gateway sent, but that never came."""
-        return self._check.lost
-
-    def restart(self) -> None:
-        """Expect another gateway's states."""
-        self._check.restart()
 
     def encode_command(
         self, q: tuple[float, ...], session: str, stamp: int
@@ -152,7 +123,7 @@ class JointStrings:
         # where the link carries properties, a pose without them is not the gateway's
         properties = self._read_properties(pairs) if pairs or self.properties else None
         if properties is not None:
-            self._check.accept(properties.seq, properties.stamp, now)
+            self.check.accept(properties.seq, properties.stamp, now)
         self.received += 1
         return q, properties or _NO_PROPERTIES
 
@@ -162,7 +133,7 @@ class PendingRequest:
 
     Attributes:
         lifts: Why the link waited for a person at the call.
-        number: Of the request; 0: not yet made.
+        number: 0: not yet made.
     """
 
     def __init__(self, supervisor: LinkSupervisor, now: int, timeout: float):
@@ -174,9 +145,9 @@ class PendingRequest:
         self.number = 0
 
     def answer(self, now: int, ending: bool) -> tuple[bool, str] | None:
-        """Return whether the link is armed, and one sentence; None: ask again. The last look withdraws what has failed."""
+        """Return whether the link is armed, and one sentence; None: ask again. A failed request is withdrawn."""
         if self._answer is None:
-            self._answer = self._outcome(ending or now >= self._deadline, now)
+            self._answer = self._outcome(ending or now >= self._deadline)
             self._deadline = now + WITHDRAWAL if self._answer else self._deadline
         # who asks again at once must know of the stop with which it is withdrawn
         supervisor = self._supervisor
@@ -184,7 +155,7 @@ class PendingRequest:
             return None
         return self._answer
 
-    def _outcome(self, late: bool, now: int) -> tuple[bool, str] | None:
+    def _outcome(self, late: bool) -> tuple[bool, str] | None:
         supervisor = self._supervisor
         has_begun = supervisor.session != self._before
         if supervisor.halts != self._halts:
@@ -194,12 +165,7 @@ class PendingRequest:
         if has_begun and supervisor.state is LinkState.NEEDS_RESET:
             sentence = Sentence("not armed: {why}", why=supervisor.sentence)
         elif late:
-            why, refused = supervisor.sentence, supervisor.inputs.why_no_pose(now)
-            sentence = Sentence(
-                "not armed within {timeout:g} s: {why}",
-                timeout=self._timeout,
-                why=why if refused in why else join_sentences(why, refused),
-            )
+            sentence = Sentence("not armed within {timeout:g} s: {why}", timeout=self._timeout, why=supervisor.sentence)
         else:
             return None
         supervisor.withdraw(self.number, sentence)
@@ -207,10 +173,15 @@ class PendingRequest:
 
 
 class Bridge:
-    """The link of one robot: its supervisor, the tool behind the gateway, the speed limit, and what is reported of them.
+    """The link of one robot: its supervisor, the tool behind the gateway, the speed limit, and reports of them.
 
     Args:
         timeout: Longest wait of a person's request for the link to be armed [s].
+        waits: `waits_for` of the process before this one.
+
+    Attributes:
+        played: Id of the plan that the executor plays, or has played last: only its switches are armed.
+        waits_for: Why only a person leads on, for the process after this one; "": nobody is waited for.
     """
 
     def __init__(
@@ -220,22 +191,17 @@ class Bridge:
         timeout: float,
         strings: JointStrings,
         new_id: Callable[[], str],
-        mirrors: bool = False,
         waits: str = "",
     ):
-        kind = BareSupervisor if bare else LinkSupervisor
-        self.supervisor: LinkSupervisor = kind(config, new_id, mirrors, waits)
-        #: Id of the plan that the executor plays, or has played last: only its switches are armed.
+        self.supervisor = BareSupervisor(config, new_id) if bare else LinkSupervisor(config, new_id, waits)
         self.played = ""
         self._strings, self._timeout, self._new_id = strings, timeout, new_id
         self._tool = ToolLink(new_id)
         self._published_tool: ToolReport | None = None
-        #: The last stop that is known, and from when on a view surely shows it.
+        # the last stop that is known, and from when on a view surely shows it
         self._stop: object = None
         self._stop_shown_from: Moment | None = None
-        #: Why only a person leads on, for the process after this one; "": nobody is waited for.
         self.waits_for = waits
-        # what the gateway's last status says beside its counters
         self._values: dict[str, str] = {}
         self._published: tuple[LinkState, str, str] | None = None
         self._published_at = 0
@@ -256,7 +222,7 @@ class Bridge:
         return control or self._limit_due(now)
 
     def on_speed_limit(self, limit: float, now: int) -> Control | None:
-        """Return the message for the speed limit in force; None: sent lately, or `poll` sends it. Its silence is silence there."""
+        """Return the message for the speed limit in force; None: sent lately, or `poll` sends it."""
         is_sent = (self.supervisor.session, limit) == self._limit and now - self._limit_at < LIMIT_PERIOD
         self._next_limit = None if is_sent else limit
         return self._limit_due(now)
@@ -277,16 +243,16 @@ class Bridge:
         return self.supervisor.state is LinkState.ARMED and self.supervisor.sends_control
 
     def on_status(self, status: GatewayStatus, now: int) -> None:
-        """Take the gateway's status, or a bare PLC's word; PayloadError where it is not believed."""
+        """Store the gateway's status, or a bare PLC's word; PayloadError where it does not count."""
         if problem := self.supervisor.inputs.on_status(status, now):
             raise PayloadError("status", problem)
         self._tool.on_status(status)
         self._values = status.text_values()
         if status.state == OFFLINE:
-            self._strings.restart()
+            self._strings.check.restart()
 
     def on_answer(self, answer: GatewayAnswer, now: int) -> None:
-        """Take the gateway's answer to a control message; PayloadError where it has refused a speed limit."""
+        """Act on the answer to a control message; PayloadError where a speed limit is refused."""
         self.supervisor.on_answer(answer, now)
         self._tool.on_answer(answer)
         if answer.verb == "speed_limit" and not answer.ok:
@@ -308,11 +274,11 @@ class Bridge:
         return self._tool.switch(id, output, value, stamp, self.supervisor.session, obstacle)
 
     def on_gate(self, is_open: bool) -> Control | None:
-        """Return the message that voids what is armed where the gate has closed, whatever the executor does."""
+        """Return the message that voids what is armed where the gate has closed."""
         return self._tool.on_gate(is_open, self.supervisor.session) if self.supervisor.sends_control else None
 
     def tool_news(self) -> ToolReport | None:
-        """Return what is known of the tool, where it has changed."""
+        """Return the report on `tool` where it has changed."""
         obstacle = ""
         if not self.supervisor.sends_control:
             obstacle = Sentence("a bare PLC has no tool here: no switch is possible")
@@ -332,12 +298,12 @@ class Bridge:
         """Ask for a session: `reset` starts over from the arm's pose, `arm` where nothing needs to move for it.
 
         Args:
-            moment: Of what the person's screen had shown; None: asked at the robot's computers.
+            moment: That the person's screen had shown; None: asked at the robot's computers.
 
         Raises:
-            ExpiredError: What was shown is too old, or older than the last stop.
-            PayloadError: `act`, `moment`
-            ReviewError: What stands against it.
+            ExpiredError: The moment is too old, or older than the last stop.
+            PayloadError: ``act``, ``moment``.
+            ReviewError: It is not possible now.
         """
         self._record_stops(present)
         if moment is not None:
@@ -372,7 +338,7 @@ class Bridge:
         return sentence, asked if asked.number != before else None
 
     def halt(self) -> Control | None:
-        """Take the right to command away; return the stop for the gateway. A bare PLC has none: it brakes on silence."""
+        """End the right to command; return the stop for the gateway. A bare PLC brakes on silence."""
         session, tells = self.supervisor.session, self.supervisor.sends_control
         self.supervisor.halt(Sentence("stopped at the gateway on request; call reset") if tells else PLC_HALTED)
         return Control(self._new_id(), session, "stop") if tells else None
@@ -380,7 +346,7 @@ class Bridge:
     # -- reports
 
     def reason(self, connection: str) -> str:
-        """Return the supervisor's sentence; without a connection also why there is none, else why the arm may not move."""
+        """Return the supervisor's sentence, and why there is no connection or why the arm may not move."""
         supervisor = self.supervisor
         if supervisor.state is LinkState.DISCONNECTED and connection:
             return Sentence("{state}: {reason}", state=supervisor.reason, reason=connection)
@@ -417,7 +383,7 @@ class Bridge:
         counters = self._gateway_values | {
             "decimals": "" if status.decimals is None else status.decimals,
             "reply_us_max": reply.max,
-            "states_lost": self._strings.lost,
+            "states_lost": self._strings.check.lost,
         }
         states_refused = sum(count for name, count in refused.items() if name.startswith("stat"))
         return LinkReport(

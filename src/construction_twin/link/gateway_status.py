@@ -1,4 +1,4 @@
-"""What the gateway says on `status` and answers on `control/ack`, read by models, and as `link` and `/diagnostics` tell it."""
+"""Models of the gateway's `status` and of its answers on `control/ack`, and their values as texts."""
 
 from __future__ import annotations
 
@@ -13,15 +13,12 @@ from construction_twin.core.sentences import LONGEST, Sentence, sentences_of
 from construction_twin.gateway.tool_switches import MOST_REPORTED
 from construction_twin.mqtt.messages import FIRST_PROTOCOL, OFFLINE, PLC, READY, RSI, is_short_text, parse_object
 
-#: Longest text that is told, and longest status [bytes].
-_LONGEST, _MOST_BYTES = 300, 1 << 20
-#: Most sentences that are told of.
-_MOST_SAID = 256
+#: Longest text that is shown, longest status [bytes], and most templates in `said`.
+_LONGEST, _MOST_BYTES, _MOST_SAID = 300, 1 << 20, 256
 #: Objects of the status whose values are shown, each under its own name and theirs.
 _GROUPS = ("controller", "cycle", "playout", "speed_limit", "stop", "intruder")
 _SINGLE = ("mode", "fault_number", "last_refusal", "later_refusal", "last_ipoc_jump_ms")
-#: What counts in the gateway's reason while it refuses datagrams, and where a parser stopped: these change with every second of a
-#: sender that goes on.
+#: Numbers in the gateway's reason that change with every second of a sender that it refuses.
 _COUNTS = re.compile(r"(datagrams refused:|\bline|\bcolumn) \d+")
 
 
@@ -32,14 +29,8 @@ def _short(text: str) -> str:
 
 
 def _sentence(text: str, info: ValidationInfo) -> str:
-    """Return a text as the sentence that the message has told of."""
+    """Return a text as the sentence whose template is in the message's `said`."""
     return (info.context or {}).get(text, text[:LONGEST])
-
-
-def _different(switches: list[_Switch]) -> list[_Switch]:
-    if len({switch.id for switch in switches}) < len(switches):
-        raise ValueError("a switch stands in it twice")
-    return switches
 
 
 _Text = Annotated[str, AfterValidator(_sentence)]
@@ -76,12 +67,12 @@ class _Tool(_Part):
     name: str
     outputs: _Signals
     inputs: _Signals
-    switches: Annotated[list[_Switch], Field(max_length=MOST_REPORTED), AfterValidator(_different)] = []
+    switches: Annotated[list[_Switch], Field(max_length=MOST_REPORTED)] = []
     reason: _Text
 
 
 class GatewayStatus(_Part):
-    """What is read of a status, of which more may hold; a bare PLC has `kind` and `state` alone."""
+    """What is read of a status, which may hold more; a bare PLC has `kind` and `state` alone."""
 
     kind: Literal["rsi", "plc"] = RSI  # type: ignore[assignment]  # a constant
     state: str = OFFLINE
@@ -90,7 +81,7 @@ class GatewayStatus(_Part):
     run: Annotated[str, AfterValidator(_short)] = ""
     connection: _Count | None = None
     fault: bool = False
-    #: Of the last stop or fault in its run; None: it names none.
+    #: Of the last stop or fault in its run; None: unknown.
     fault_number: _Count | None = None
     protocol: _Count = FIRST_PROTOCOL
     hash: str = ""
@@ -125,7 +116,7 @@ class GatewayStatus(_Part):
         return self.state in ("armed", "following")
 
     def text_values(self) -> dict[str, str]:
-        """Return what was told beside the counters: ``{"playout_delay_ms": "20", "intruder_session": "", ...}``."""
+        """Return the values beside the counters: ``{"playout_delay_ms": "20", "intruder_session": "", ...}``."""
         values = {name: _text(getattr(self, name)) for name in _SINGLE if name in self.model_fields_set}
         for group in _GROUPS:
             values |= {f"{group}_{name}": _text(value) for name, value in getattr(self, group).items()}
@@ -133,12 +124,12 @@ class GatewayStatus(_Part):
 
     @property
     def controller_sentence(self) -> str:
-        """Why the arm may not move, as the controller says itself; "" for no reason."""
+        """Why the arm may not move, as the controller says itself; "": it may."""
         return _text(self.controller.get("sentence"))
 
 
 class GatewayAnswer(_Part):
-    """What is read of an answer to a control message."""
+    """An answer to a control message."""
 
     id: str = ""
     verb: str = ""
@@ -146,13 +137,12 @@ class GatewayAnswer(_Part):
     reason: _Text = ""
 
 
-#: Nothing was heard.
 NO_STATUS = GatewayStatus()
 _Model = TypeVar("_Model", GatewayStatus, GatewayAnswer)
 
 
 def read(kind: type[_Model], document: Mapping[str, Any]) -> _Model:
-    """Return a status or an answer; PayloadError (``status``) when it is not as the interface says."""
+    """Return a status or an answer; PayloadError ``status``."""
     said = document.get("said")
     known = sentences_of(said) if isinstance(said, dict) and len(said) <= _MOST_SAID else {}
     try:
@@ -166,19 +156,19 @@ def read(kind: type[_Model], document: Mapping[str, Any]) -> _Model:
 
 
 def parse_status(payload: bytes) -> GatewayStatus:
-    """Return what is said on `status`, a gateway's JSON or a bare PLC's word, or raise PayloadError as `read`."""
+    """Parse a payload on `status`, a gateway's JSON or a bare PLC's word; PayloadError as of `read`."""
     if payload in (READY.encode(), OFFLINE.encode()):
         return GatewayStatus.model_construct(kind=PLC, state=payload.decode())
     return read(GatewayStatus, parse_object(payload, "status", _MOST_BYTES))
 
 
 def parse_answer(payload: bytes) -> GatewayAnswer:
-    """Return an answer to a control message, or raise PayloadError as `read`."""
+    """Parse a payload on `control/ack`; PayloadError as of `read`."""
     return read(GatewayAnswer, parse_object(payload, "status", _MOST_BYTES))
 
 
 def without_counts(reason: str) -> str:
-    """Return a reason without the numbers that go on while nothing else changes: to ask whether it is news, not to be read."""
+    """Return a reason without the numbers that change alone, to ask whether it is new."""
     return _COUNTS.sub(r"\1", reason)
 
 
@@ -189,5 +179,5 @@ def _text(value: Any) -> str:
 
 
 def cut(text: str) -> str:
-    """Return a text, or its beginning where it is too long to be told: a sentence that fits stays one."""
+    """Return a text, or its beginning where it is too long; a sentence that fits stays one."""
     return text if len(text) <= _LONGEST else text[:_LONGEST]

@@ -1,4 +1,4 @@
-"""What the bridge knows of the broker, the gateway, the arm and the command stream, and what is missing for a link.
+"""What the bridge knows of broker, gateway, arm and command stream, and what is missing for a link.
 
 Pure: time is an argument [ns]. Angles in rad (axis space).
 """
@@ -18,15 +18,11 @@ from construction_twin.mqtt.messages import OFFLINE, PLC, PROTOCOL, other_protoc
 FRESH = NANOSECONDS // 4
 #: The arm is at rest when its pose has not moved for this long [ns].
 REST = NANOSECONDS // 5
-#: A refused pose explains a missing one for this long [ns].
-REFUSED_RECENTLY = NANOSECONDS
 #: A retained status is believed this long without a newer one; the gateway repeats its status every second [ns].
 STATUS_TIMEOUT = 3 * NANOSECONDS
-#: So many runs of gateways that answer beside the present one are remembered, and named.
-OTHER_RUNS = 3
 #: States of a gateway without a controller that it answers, and of one whose arm can be followed but not commanded.
-NO_SESSION = ("no_controller", "joined_running")
-ONLY_POSES = ("read_only", "measuring", "other_cycle")
+_NO_SESSION = ("no_controller", "joined_running")
+_ONLY_POSES = ("read_only", "measuring", "other_cycle")
 #: From the moment when a stop is known to the moment of the first `view` that surely shows it [ns]: the bridge's poll and `link`.
 SHOWN_AFTER = NANOSECONDS // 4
 
@@ -56,23 +52,17 @@ class ArmAndStream:
         # an arm that rests between two values of the wire flickers by one digit
         digits = config.limits.last_digits(config.decimals)
         self._rest_bands = tuple(max(most / 50, 1.5 * digit) for most, digit in zip(self._tolerances, digits))
-        self._pose: tuple[float, ...] | None = None
+        self._pose: tuple[float, ...] = ()
         self._rest_pose: tuple[float, ...] = ()
-        self._pose_at = self._moved_at = 0
-        self._refusals, self._refusal, self._refused_at = 0, "", 0
-        self._command: tuple[float, ...] | None = None
+        self._pose_at, self._moved_at = -FRESH, 0
+        self._command: tuple[float, ...] = ()
         self._command_at, self._command_rests_since = -FRESH, 0
 
     def on_pose(self, q: tuple[float, ...], now: int) -> None:
         """Store the arm's pose [rad]."""
-        if self._pose is None or outside_tolerance(q, self._rest_pose, self._rest_bands) is not None:
+        if not self._pose or outside_tolerance(q, self._rest_pose, self._rest_bands) is not None:
             self._rest_pose, self._moved_at = q, now
         self._pose, self._pose_at = q, now
-        self._refusals = 0
-
-    def on_pose_refused(self, sentence: str, now: int) -> None:
-        """Store why a string of the arm's pose was refused."""
-        self._refusals, self._refusal, self._refused_at = self._refusals + 1, sentence, now
 
     def on_command(self, q: tuple[float, ...], now: int) -> None:
         """Store a command that wants to be sent [rad]."""
@@ -83,48 +73,32 @@ class ArmAndStream:
 
     def forget_command(self) -> None:
         """Wait for the next command: the last one belongs to another session."""
-        self._command = None
+        self._command = ()
+
+    def pose_is_fresh(self, now: int) -> bool:
+        """Return whether the arm's pose is known."""
+        return now - self._pose_at < FRESH
 
     def at_rest(self, now: int) -> bool:
         """Return whether the arm's pose is known, and has not changed for `REST`."""
         return self.pose_is_fresh(now) and now - self._moved_at >= REST
 
-    def pose_is_fresh(self, now: int) -> bool:
-        """Return whether the arm's pose is known."""
-        return self._pose is not None and now - self._pose_at < FRESH
-
     def why_not_at_rest(self, now: int) -> str:
-        """Return why the arm does not count as at rest, or why its strings are refused; empty when it is at rest."""
-        if self.at_rest(now):
-            return ""
-        return self.why_no_pose(now) or Sentence("the arm's pose is unknown or still changing; wait until it rests")
-
-    def why_no_pose(self, now: int) -> str:
-        """Return why the strings that come from the arm are not its pose; empty when they are, or when none come."""
-        if not self._refusals or now - self._refused_at >= REFUSED_RECENTLY:
-            return ""
-        return Sentence(
-            "the arm's pose is unknown: {count} of its strings are refused: {reason}",
-            count=self._refusals,
-            reason=self._refusal,
-        )
-
-    def stream_may_move(self, now: int) -> bool:
-        """Return whether commands come, of whatever session, that have not been the same for `REST`, or not long enough to know."""
-        return now - self._command_at < FRESH and not self.stream_rests(now)
+        """Return why the arm does not count as at rest; "" when it does."""
+        return "" if self.at_rest(now) else Sentence("the arm's pose is unknown or still changing; wait until it rests")
 
     def stream_rests(self, now: int) -> bool:
-        """Return whether commands come, and have been the same for `REST`; a stream that has just begun must still show it."""
+        """Return whether commands come, and have been the same for `REST`."""
         return self._command_is_fresh(now) and self._command_at - self._command_rests_since >= REST
 
     def _command_is_fresh(self, now: int) -> bool:
-        return self._command is not None and now - self._command_at < FRESH
+        return bool(self._command) and now - self._command_at < FRESH
 
     def within_tolerance(self, now: int) -> bool:
-        """Return whether the newest command and the newest pose are fresh and within the start tolerance of each other."""
+        """Return whether command and pose are fresh and within the start tolerance of each other."""
         if not self._command_is_fresh(now) or not self.pose_is_fresh(now):
             return False
-        return outside_tolerance(self._command, self._pose, self._tolerances) is None  # type: ignore[arg-type]  # they are fresh
+        return outside_tolerance(self._command, self._pose, self._tolerances) is None
 
 
 class LinkObservations(ArmAndStream):
@@ -132,17 +106,17 @@ class LinkObservations(ArmAndStream):
 
     Attributes:
         status: The gateway's last one; `NO_STATUS` while there is no connection.
+        offline_received: Whether `offline` came since this was set to False: a bare PLC has stopped, however soon `ready` follows.
     """
 
-    def __init__(self, config: GatewayConfig):
+    def __init__(self, config: GatewayConfig, bare: bool = False):
         super().__init__(config)
-        self._hash, self._decimals = config.hash, config.decimals
-        self.status = NO_STATUS
-        self._status_at = 0
-        self._connected = False
-        # gateways that answer beside the one whose status is taken: run, and when it was heard last
-        self._other_runs: dict[str, int] = {}
-        # the number in the last status without a fault, in its run; and what was stopped since, in the newest run that told it
+        self._hash, self._bare = config.hash, bare
+        self.status, self._status_at = NO_STATUS, 0
+        self.offline_received = self._connected = False
+        # another gateway that answers beside the one whose status counts: its run, and when it spoke last
+        self._other_run, self._other_at = "", -STATUS_TIMEOUT
+        # the number in the last status without a fault, in its run; and what was stopped since, in the newest run that showed it
         self._clear: tuple[str, int] = ("", 0)
         self._stopped_in, self._stop_reason = "", ""
 
@@ -152,36 +126,30 @@ class LinkObservations(ArmAndStream):
         """Store whether there is a connection to the broker."""
         self._connected = connected
         if not connected:
-            self.status = NO_STATUS
-            self._other_runs.clear()
+            self.status, self._other_at = NO_STATUS, -STATUS_TIMEOUT
 
     def on_status(self, status: GatewayStatus, now: int) -> str:
-        """Take what was said on `status`; return in a sentence why it was not taken, empty when it was.
-
-        While a gateway answers, only its own run's word may end a motion; two runs are an `obstacle`.
-        """
-        problem = self.why_not_believed(status, now)
-        if status.kind != PLC:
-            self._record_run(status.run, status.state != OFFLINE and bool(problem), now)
+        """Store what came on `status`; return why it does not count, "" when it does."""
+        problem = "" if self._bare else self._why_not_believed(status, now)
+        if status.kind != PLC and status.run != self.status.run:
+            if problem and status.state != OFFLINE:
+                self._other_run, self._other_at = status.run, now
+            elif status.run == self._other_run:
+                self._other_at = -STATUS_TIMEOUT
         if not problem:
             self.status, self._status_at = status, now
+            self.offline_received |= status.state == OFFLINE
             self._record_stop()
         return problem
 
-    def why_not_believed(self, status: GatewayStatus, now: int) -> str:
-        """Return why what was said on `status` is not to be taken, as a sentence; empty when it is."""
+    def _why_not_believed(self, status: GatewayStatus, now: int) -> str:
+        """Return why a status does not count: while a gateway answers, only its own run may end a motion."""
         known = self.status
         if known.state == OFFLINE or now - self._status_at > STATUS_TIMEOUT:
             return ""
-        if status.kind == PLC and known.kind != PLC:
-            return Sentence("a bare PLC's word `{word}` on `status`, where rsi_gateway answers", word=status.state)
-        if known.kind == PLC or not known.run:
-            return ""
-        if status.run != known.run:
+        if known.run and status.run != known.run:
             runs = {"run": repr(status.run), "present": repr(known.run)}
-            if status.state == OFFLINE:
-                return Sentence("the last will of run {run}, while run {present} answers: it changes nothing", **runs)
-            return Sentence("status of run {run}, while run {present} answers too", **runs)
+            return Sentence("status of run {run}, while run {present} answers: it changes nothing", **runs)
         if status.state == OFFLINE and _is_before(status.connection, known.connection):
             found = {"run": repr(known.run)}
             return Sentence("the last will of a former connection of run {run}: it changes nothing", **found)
@@ -190,12 +158,6 @@ class LinkObservations(ArmAndStream):
             numbers = {"number": str(status.fault_number), "known": str(known.fault_number)}
             return Sentence("an old status, of stop {number} after stop {known}", **numbers)
         return ""
-
-    def _record_run(self, run: str, speaks: bool, now: int) -> None:
-        received = {other: at for other, at in self._other_runs.items() if other != run and now - at <= STATUS_TIMEOUT}
-        if speaks and run != self.status.run and len(received) < OTHER_RUNS:
-            received[run] = now
-        self._other_runs = received
 
     def _record_stop(self) -> None:
         status = self.status
@@ -211,17 +173,17 @@ class LinkObservations(ArmAndStream):
             self._stopped_in, self._stop_reason = run, status.reason
 
     def forget_stop(self) -> None:
-        """The link is armed: whatever was stopped before, a person has asked for that."""
+        """Forget what was stopped before: the link is armed, and a person has asked for that."""
         self._stopped_in = ""
 
     @property
     def stop_reason(self) -> str:
-        """Why the gateway was stopped in the newest run that told it, if nobody has reset it; else ""."""
+        """Why the gateway was stopped in the newest run that showed it, if nobody has reset it; else ""."""
         return self._stop_reason if self._stopped_in else ""
 
     @property
     def stopped_before(self) -> str:
-        """Why a former run of the gateway was stopped, if nobody has reset it: a run that begins anew forgets it; else ""."""
+        """The same of a former run, which a run that begins anew forgets."""
         return self._stop_reason if self._stopped_in not in ("", self.status.run) else ""
 
     @property
@@ -238,10 +200,14 @@ class LinkObservations(ArmAndStream):
         """Return whether the gateway is armed for another session than this one, or follows it."""
         return self.status.is_armed and self.status.session != session
 
+    # -- what is missing
+
     def obstacle(self, now: int, mirrors: bool) -> tuple[LinkState, str] | None:
         """Return what is missing for a link that commands, or in mirror mode for one that follows, and one sentence."""
         if not self._connected:
             return LinkState.DISCONNECTED, Sentence("not connected to the broker")
+        if self._bare:
+            return self._plc_obstacle(now)
         status = self.status
         if status.kind == PLC and status.state != OFFLINE:
             return LinkState.MISMATCH, Sentence(
@@ -251,32 +217,45 @@ class LinkObservations(ArmAndStream):
             return LinkState.GATEWAY_OFFLINE, Sentence(
                 "no gateway answers on the broker; start rsi_gateway on the cell PC"
             )
-        others = sorted(run for run, received in self._other_runs.items() if now - received <= STATUS_TIMEOUT)
-        if others:
-            runs = " and ".join(f"run {run}" if run else "one without a run" for run in sorted([status.run, *others]))
-            return LinkState.MISMATCH, Sentence(
+        if mismatch := self._mismatch(now):
+            return LinkState.MISMATCH, mismatch
+        if status.state in _NO_SESSION or (status.state in _ONLY_POSES and not mirrors):
+            return LinkState.NO_CONTROLLER, Sentence(
+                "gateway has no RSI session to command: {reason}", reason=status.reason
+            )
+        return None
+
+    def _mismatch(self, now: int) -> str:
+        status = self.status
+        if now - self._other_at < STATUS_TIMEOUT:
+            return Sentence(
                 "more than one gateway answers on the broker: {runs} (each logs its run when it starts): end all but one",
-                runs=runs,
+                runs=f"run {status.run} and run {self._other_run or 'without a name'}",
             )
         if sentence := other_protocol(status.protocol, PROTOCOL):
-            return LinkState.MISMATCH, sentence
-        if status.decimals != self._decimals:
-            return LinkState.MISMATCH, Sentence(
-                "gateway uses {gateway} decimals, the bridge {bridge}: give both the same number",
-                gateway=str(status.decimals),
-                bridge=self._decimals,
-            )
+            return sentence
         if status.hash != self._hash:
-            return LinkState.MISMATCH, Sentence(
+            return Sentence(
                 "gateway runs another configuration (its hash differs); export it by `twin gateway`, then restart the gateway"
             )
         if not status.run or status.fault_number is None:
-            return LinkState.MISMATCH, Sentence(
+            return Sentence(
                 "gateway names no run, or no fault_number, in its status; install the same version on both sides"
             )
-        if status.state in NO_SESSION or (status.state in ONLY_POSES and not mirrors):
+        return ""
+
+    def _plc_obstacle(self, now: int) -> tuple[LinkState, str] | None:
+        if self.status.kind != PLC and self.status.state != OFFLINE:
+            return LinkState.MISMATCH, Sentence(
+                "rsi_gateway answers on the broker, no bare PLC: start with gateway_kind:=rsi, or stop that gateway"
+            )
+        if self.status is NO_STATUS:
+            return LinkState.GATEWAY_OFFLINE, Sentence("no PLC has said `ready` on its `status` topic, retained")
+        if self.offline_received or self.status.state == OFFLINE:
+            return LinkState.GATEWAY_OFFLINE, Sentence("the PLC says `offline`: it takes no strings; see to the PLC")
+        if not self.pose_is_fresh(now):
             return LinkState.NO_CONTROLLER, Sentence(
-                "gateway has no RSI session to command: {reason}", reason=status.reason
+                "the PLC says `ready`, but no valid joint string comes on its `state` topic: see /diagnostics"
             )
         return None
 

@@ -1,8 +1,7 @@
 """What people and planners ask for by MQTT: a model of each kind of message (docs/reference/mqtt.md), read strictly.
 
-A model takes no text for a number, no key that it does not know, no key twice, and no number that is not finite. A refusal is a
-PayloadError: ``format`` for keys and their kinds, ``values`` for numbers, ``moment``, ``joints``. What starts something repeats the
-newest moment that its screen had received (`core.freshness`). SI: m, rad, s; poses are those of `tool0` in the robot's base_link.
+A refusal is a PayloadError: ``format`` for keys and their kinds, ``values`` for numbers, ``moment``, ``joints``. What starts
+something repeats the newest moment that its screen had received (`core.freshness`). Poses are those of `tool0` in base_link.
 """
 
 from __future__ import annotations
@@ -19,8 +18,7 @@ from construction_twin.core.errors import PayloadError
 from construction_twin.core.freshness import Moment, parse_moment
 from construction_twin.mqtt.messages import demand_live, parse_object
 
-#: Longest id, name and other short text.
-MAX_TEXT = 64
+_LONGEST_TEXT = 64
 #: No position, velocity, acceleration or time of an arm is larger, in whatever unit.
 LARGEST = 1e6
 #: The least that people may set as speed limit, a fraction of the planned speed: 0 would be a pause, which has a name of its own.
@@ -52,13 +50,13 @@ def _unit_length(values: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(value / norm for value in values)
 
 
-Text = Annotated[str, StringConstraints(max_length=MAX_TEXT), AfterValidator(_printable)]
+Text = Annotated[str, StringConstraints(max_length=_LONGEST_TEXT), AfterValidator(_printable)]
 #: A text of the sender's own, which the answer repeats.
-Id = Annotated[str, StringConstraints(min_length=1, max_length=MAX_TEXT), AfterValidator(_printable)]
+Id = Annotated[str, StringConstraints(min_length=1, max_length=_LONGEST_TEXT), AfterValidator(_printable)]
 Name = Annotated[Text, AfterValidator(_not_blank)]
 Reason = Annotated[str, StringConstraints(max_length=500), AfterValidator(_printable)]
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
-#: Of the limits; 0: the planner's default.
+#: 0: the planner's default.
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 ParsedMoment = Annotated[Moment, PlainValidator(parse_moment)]
 #: JSON has lists only.
@@ -75,7 +73,7 @@ Many = Annotated[list[_Item], pydantic.FailFast()]
 
 
 def rounded(places: int) -> PlainSerializer:
-    """Return what writes a number with so many decimals."""
+    """Return the annotation that writes a number with so many decimals."""
     return PlainSerializer(lambda value: float(round(value, places)), return_type=float)
 
 
@@ -119,7 +117,7 @@ def read(model: type[_Model], document: Mapping[str, Any], what: str) -> _Model:
 
 
 def shown(value: object) -> str:
-    """Return what was found, short enough for a sentence; of what is nested only the kind."""
+    """Return a value as a short text, of what is nested only the kind."""
     if isinstance(value, dict) and (len(value) > 8 or any(isinstance(item, (dict, list)) for item in value.values())):
         return f"an object of {len(value)}"
     if isinstance(value, list) and any(isinstance(item, (dict, list)) for item in value):
@@ -156,10 +154,9 @@ class ReviewRequest:
 
     Attributes:
         verdict: ``approved`` or ``rejected``.
-        reviewer: Who is on record: the topic's account, and only without one what the message says.
+        reviewer: On record: the topic's account, and only without one what the message says.
         account: The topic's, which a site's broker has checked; "" on `review`.
-        says: Another name that a message of an account gives; proves nothing.
-        moment: The newest that the screen had received; of a rejection it may be "".
+        says: Another name in an account's message; proves nothing.
         rehearsal_hash: Of an override: of the result as the person saw it; "": there was none.
     """
 
@@ -176,12 +173,12 @@ class ReviewRequest:
 
     @property
     def approve(self) -> bool:
-        """True for an approval."""
+        """Whether it is an approval."""
         return self.verdict == "approved"
 
     @property
     def recorded_reason(self) -> str:
-        """The reviewer's words as they are recorded: what came by MQTT was not said at this machine."""
+        """The reviewer's words on record: what came by MQTT was not said at this machine."""
         who = f"by MQTT, which says it is {self.says!r}" if self.says else "by MQTT"
         return f"{who}: {self.reason}" if self.reason else who
 
@@ -223,11 +220,11 @@ class Override(Verdict):
     rehearsal_hash: Text
 
 
-# -- answers to the work, messages that were read, what is pressed, speed limits
+# -- what is answered and pressed, speed limits
 
 
 class AnswerRequest(Request):
-    """A message on `answer/<account>`: one of the `answers` to a task's question, which is repeated as the screen had shown it."""
+    """A message on `answer/<account>`, with the question as the screen had shown it."""
 
     id: Id
     task: Id
@@ -237,14 +234,14 @@ class AnswerRequest(Request):
 
 
 class Acknowledgement(Request):
-    """A message on `acknowledge/<account>`: a person has read a message, whose id `message` is."""
+    """A message on `acknowledge/<account>`; `message` is the id of the one that was read."""
 
     id: Id
     message: Id
 
 
 class ButtonPress(Request):
-    """A message on `stop/<account>` or `pause/<account>`. A moment in it is not read: it must not be lost by that."""
+    """A message on `stop/<account>` or `pause/<account>`; a moment in it is ignored, so that a wrong one loses no stop."""
 
     id: Annotated[Id, AfterValidator(_not_blank)]
     moment: Annotated[str, PlainValidator(lambda _: "")] = ""
@@ -276,15 +273,14 @@ class GoalRequest:
     """A request for a plan to a goal, by MQTT, from the command line or the marker in rviz.
 
     Attributes:
-        kind: One of `GOALS`, or ``csv``, which is not taken by MQTT; of the fields below only those of its kind count.
-        moment: Of MQTT: the newest that the screen had received.
+        kind: One of `GOALS`, or ``csv``, which is not read by MQTT; of the fields below only those of its kind count.
         joints: In the robot's order [rad], [m].
         position, orientation: Of tool0 in `frame` [m]; x y z w, of unit length.
-        configuration: Empty: any.
+        configuration: "": any.
         speed: Of the tool along a line [m/s]; 0: as fast as the limits allow.
         speed_scale, acceleration_scale, duration: Fractions of the limits, and [s]; 0: the planner's default.
-        task: Of the building model; empty: the next one.
-        frame: Of tf; by MQTT always "", the base_link.
+        task: Of the building model; "": the next one.
+        frame: Of tf; "": base_link.
         path: Of a file of waypoints on the planner's machine.
     """
 
@@ -317,40 +313,32 @@ class _Scaled(WayBack):
     acceleration_scale: Fraction = 0.0
 
 
-class JointGoal(_Scaled):
-    """A goal of joints."""
-
+class _JointGoal(_Scaled):
     joints: JointValues
 
 
-class PoseGoal(_Scaled):
-    """A goal of the tool."""
-
+class _PoseGoal(_Scaled):
     position: Position
     orientation: Quaternion
     configuration: Text = ""
 
 
-class LineGoal(_Scaled):
-    """A goal of the tool, on a straight line."""
-
+class _LineGoal(_Scaled):
     position: Position
     orientation: Quaternion
     speed: Annotated[Number, Field(ge=0.0)] = 0.0
 
 
-class TaskGoal(WayBack):
-    """A task of the building model; empty: the next one."""
-
+class _TaskGoal(WayBack):
     task: Text = ""
 
 
 GOALS: Mapping[str, type[WayBack]] = {
-    "joints": JointGoal,
-    "pose": PoseGoal,
-    "line": LineGoal,
+    "joints": _JointGoal,
+    "pose": _PoseGoal,
+    "line": _LineGoal,
     "way_back": WayBack,
-    "work_task": TaskGoal,
+    "work_task": _TaskGoal,
 }
 
 

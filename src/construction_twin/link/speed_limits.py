@@ -1,8 +1,7 @@
-"""The speed limit in force: the lowest of what a program and people have set. Times are arguments. Not safety rated.
+"""The speed limit in force: the lowest of a program's and people's. Times are arguments. Not safety rated.
 
-A program is one source of `speed_limit`, with a deadline: its silence never speeds up. People have one limit in common, whoever of
-them set it: it stands until a person sets another one, whatever becomes of tablet, broker and process. Lowering it acts at once.
-Raising it is void when what the screen had shown is too old, or of before somebody lowered it: nobody raises a limit unseen.
+A program has a deadline: its silence never speeds up. People have one limit in common, which stands until a person sets another,
+whatever becomes of tablet, broker and process. Lowering acts at once; nobody raises a limit unseen.
 """
 
 from __future__ import annotations
@@ -25,17 +24,16 @@ from construction_twin.link.requests import LEAST_SPEED
 
 #: Largest file that is read, and the least that it has [bytes].
 MAX_BYTES, MIN_BYTES = 1 << 16, 4096
-#: Nobody has set one; and what counts where what people had set is not known: a restart raises nothing.
+#: Nobody has set one; and what counts where people's is unknown: a restart raises nothing.
 NOBODY, UNKNOWN = SpeedChange("", 1.0, 1.0, ""), SpeedChange("", LEAST_SPEED, 1.0, "")
 #: Keys of the file, in the order of the record.
 _KEYS = ("person", "limit", "replaced", "replaced_person", "since")
 
 
 def read_people(path: Path) -> tuple[SpeedChange, str]:
-    """Return what people had set, and why that is not known, or no other could be kept; "" where it is.
+    """Return people's limit, and why it is unknown or no other could be kept, "" where it is not.
 
-    The file has its room from the first start on and is written in place, so a disk that is full later takes every limit. A mark
-    beside it says that there was one.
+    The file has its room from the first start on, so that a full disk takes every limit; a mark beside it says that there was one.
     """
     mark = path.with_suffix(".mark")
     try:
@@ -58,7 +56,7 @@ def _people(found: Mapping[str, Any]) -> SpeedChange:
 
 
 def write_people(path: Path, people: SpeedChange) -> str:
-    """Write it; return why that was not possible, "" when it was. What could not be written is not known after a restart."""
+    """Write people's limit; return why that failed, "" when it did not. Then it is unknown after a restart."""
     try:
         write_in_place(path, json.dumps(dict(zip(_KEYS, astuple(people)))) + "\n", MIN_BYTES)
     except OSError as error:
@@ -74,18 +72,14 @@ def write_people(path: Path, people: SpeedChange) -> str:
 
 
 class SpeedLimits:
-    """Merges one program's limit and that of people; the lowest is in force. Not for use from several threads.
-
-    Args:
-        problem: Why `people` is not what they had set, as a clause; "": it is.
-    """
+    """Merges one program's limit and that of people; `problem`: why the latter is unknown."""
 
     def __init__(self, program: SpeedLimit, people: SpeedChange, started: Moment, problem: str = ""):
         self.program, self.people, self.fault = program, people, problem
         self._lowered = started
 
     def set(self, limit: float, person: str, moment: str, now: Moment, at: int) -> str:
-        """Take the limit that a person sets; return the sentence of the answer. Arguments and errors are of `requested_change`."""
+        """Set people's limit as `requested_change` allows; return the sentence of the answer."""
         before, self.people = self.people, self.requested_change(limit, person, moment, now, at)
         if self.people is before:
             return Sentence("the speed limit of people is {percent:.0f}% already", percent=100 * limit)
@@ -103,7 +97,7 @@ class SpeedLimits:
         )
 
     def requested_change(self, limit: float, person: str, moment: str, now: Moment, at: int) -> SpeedChange:
-        """Return what `set` would make the limit of people at the ROS time `at` [ns]; a moment only raises it, none only lowers it.
+        """Return people's limit after a request at the ROS time `at` [ns]; a moment only raises it, none only lowers it.
 
         Raises:
             PayloadError: ``values``, ``person``, ``moment``, or ``direction``.
@@ -139,7 +133,7 @@ class SpeedLimits:
         return SpeedChange(person, limit, before.limit, before.person, at)
 
     def state_report(self, now: int) -> SpeedReport | None:
-        """Return what is in force at `now` [ns, monotonic]; None before anybody has set a limit: nothing is to be repeated then."""
+        """Return what is in force at `now` [ns, monotonic]; None before anybody has set a limit."""
         program, people = self.program, self.people
         allowed = program.update(now)
         if not program.name and people == NOBODY:

@@ -1,4 +1,4 @@
-"""Who may command, and when: the bridge's side of arming and resetting the gateway.
+"""Who may command, and when: the bridge's side of arming and resetting the gateway, or of arming a bare PLC.
 
 Pure: events in, control messages out; time is an argument [ns]. Angles in rad (axis space). A session is one continuous right to
 command. Its change makes the twin take over the arm's pose and executor and gate start over; only then, with a command stream
@@ -15,66 +15,57 @@ from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.gateway_status import GatewayAnswer
 from construction_twin.link.observations import ABSENT, LinkObservations, LinkState
-from construction_twin.mqtt.messages import RSI, Control, arm_value, reset_value
+from construction_twin.mqtt.messages import PLC, RSI, Control, arm_value, reset_value
 
 #: Pause before an unanswered control message is sent again [ns].
 RETRY = NANOSECONDS // 2
-
 #: How a sentence ends after which only a person leads on.
 _CALL_RESET = "call reset"
+_ARM_LEADS = Sentence("the arm leads, the twin follows; nothing is commanded")
 
 
 class LinkSupervisor:
     """Decides when to start a session, arm, and resume.
 
     Args:
-        mirrors: Whether the arm leads from the start: it did when the process before this one ended, and only a person ends that.
-        waits: What `waits_for` said when the process before this one ended: then nothing is armed before a person resets.
+        waits: `waits_for` of the process before this one: then nothing is armed before a person resets.
 
     Attributes:
         session: "" before the first.
         mirrors: True from `begin_mirror` to its end, also while the arm's pose is not known.
-        responsible: Who has armed a bare PLC; empty for a gateway, which checks by itself.
-        sends_control: Whether control messages are understood.
+        responsible: Who has armed a bare PLC.
         halts, requests: How often `halt` was called, and a session asked for: what was asked for before a halt is void.
         withdraws: True until the gateway has answered that nothing of a failed request is in force.
     """
 
-    kind = RSI
-    sends_control = True
+    kind, sends_control = RSI, True
     not_checked: tuple[str, ...] = ()
-    _observations: type[LinkObservations] = LinkObservations
 
-    def __init__(self, config: GatewayConfig, new_id: Callable[[], str], mirrors: bool = False, waits: str = ""):
+    def __init__(self, config: GatewayConfig, new_id: Callable[[], str], waits: str = ""):
         self._hash = config.hash
         self._new_id = new_id
-        self.inputs = self._observations(config)
+        self.inputs = LinkObservations(config, self.kind == PLC)
         self.state = LinkState.DISCONNECTED
         self.reason: str = Sentence("not connected to the broker yet")
-        self.session = new_id() if mirrors else ""
-        self.responsible = ""
-        self.mirrors = mirrors
+        self.session = self.responsible = ""
+        self.mirrors = False
         # the session that commanded before mirror mode; it is ended at the gateway too
         self._ended_session = ""
         self._was_armed = False
         # a person asked for a session: it has not begun; it is the present one
-        self._reset_wanted = False
-        self._session_requested = False
+        self._reset_wanted = self._session_requested = False
         # run and number of the gateway's last stop, as they were known when a person asked: nothing newer is cleared
         self._stop_at_request: tuple[str, int | None] = ("", None)
         self._arm_refused = False
-        # why only a person leads on: `halt` was called, or what a person asked for has failed
+        # why only a person leads on: `halt` was called, what a person asked for has failed, or the process before waited
         self._halt_reason: str | None = waits or None
-        # the same of the process before this one; and that a person's request was under way
         self._waited_before, self._under_way = bool(waits), ""
         self.halts = self.requests = 0
         # what a failed request has sent may still arrive at the gateway; the session of that request
-        self.withdraws = False
-        self._withdrawn_session = ""
+        self.withdraws, self._withdrawn_session = False, ""
         # the control message that waits for its answer, or was refused and is sent again; the one to send next
         self._pending: Control | None = None
-        self._unanswered = False
-        self._sent_at = 0
+        self._unanswered, self._sent_at = False, 0
         self._outgoing: Control | None = None
 
     @property
@@ -90,6 +81,8 @@ class LinkSupervisor:
         """
         if not self.sends_control:
             return ""
+        if self.mirrors:
+            return Sentence("the arm led before this bridge was started again; call mirror or reset")
         if self._halt_reason or not self.inputs.stop_reason:
             return self._halt_reason or self._under_way
         return Sentence(
@@ -105,12 +98,12 @@ class LinkSupervisor:
     # -- what comes in
 
     def on_command(self, q: tuple[float, ...], now: int) -> str:
-        """Take a command that wants to be sent [rad]; return the session that may send it, "" for none."""
+        """Store a command that wants to be sent [rad]; return the session that may send it, "" for none."""
         self.inputs.on_command(q, now)
         return self.session if self.state is LinkState.ARMED else ""
 
     def on_answer(self, answer: GatewayAnswer, now: int) -> None:
-        """Take the gateway's answer to a control message."""
+        """Act on the gateway's answer to a control message."""
         if self._pending is None or answer.id != self._pending.id:
             return
         verb, self._unanswered = self._pending.verb, False
@@ -137,17 +130,12 @@ class LinkSupervisor:
         """Start over from the arm's pose, for a person: clear the stops known now, no later one; ReviewError where it cannot."""
         if self.mirrors:
             raise ReviewError(Sentence("cannot reset: the arm leads; call mirror with false, which ends in the same"))
-        if self.state in ABSENT or self.inputs.status.has_failed:
-            raise ReviewError(Sentence("cannot reset: {why}", why=self.reason))
-        if unrest := self.inputs.why_not_at_rest(now):
-            raise ReviewError(Sentence("cannot reset: {why}", why=unrest))
+        if why := self._why_not_now(now):
+            raise ReviewError(Sentence("cannot reset: {why}", why=why))
         self._want_session()
 
     def request_arm(self, now: int, person: str = "") -> None:
-        """Raise ReviewError: by itself the link arms where nothing stands against it; what does, `request_reset` alone lifts.
-
-        A bare PLC is armed in the person's name.
-        """
+        """Raise ReviewError: the link arms by itself where nothing stands against it; what does, `request_reset` alone lifts."""
         if self.state is not LinkState.NEEDS_RESET:
             raise ReviewError(Sentence("nothing to arm: {why}", why=self.sentence))
         raise ReviewError(Sentence("cannot arm: {why}", why=self.reason))
@@ -156,10 +144,18 @@ class LinkSupervisor:
         self._reset_wanted, self._stop_at_request = True, self.known_stop
         self.requests += 1
 
+    def _why_not_now(self, now: int, mirrors: bool = False) -> str:
+        """Return why neither a session nor mirror mode can begin; a gateway that only reads is enough for the latter."""
+        if missing := self.inputs.obstacle(now, mirrors):
+            return missing[1]
+        if self.inputs.status.has_failed:
+            return _gateway_sentence(self.inputs)
+        return self.inputs.why_not_at_rest(now)
+
     def withdraw(self, request: int, reason: str) -> None:
         """Give up a person's request that was answered as failed, unless a person has asked again: nothing is armed until one does.
 
-        The gateway is told to stop: an `arm` that is still under way arms nothing then, and a bridge that is started again waits
+        The gateway gets a stop: an `arm` that is still under way arms nothing then, and a bridge that is started again waits
         for a person too. Where mirror mode began since, it goes on, and has ended the request's session at the gateway.
         """
         if request != self.requests:
@@ -169,51 +165,35 @@ class LinkSupervisor:
         if self._halt_reason is not None:
             return
         self._halt_reason = reason if reason.endswith(_CALL_RESET) else Sentence("{reason}; call reset", reason=reason)
-        if self.mirrors:
-            return
-        # a fault at the gateway outlasts this process, and the reason that it tells is the better one
-        self.withdraws = self._unanswered or not self.inputs.status.fault
-        self._withdrawn_session, self._pending = self.session, None
-        self._enter(LinkState.NEEDS_RESET, self._halt_reason)
+        if not self.mirrors:
+            # a fault at the gateway outlasts this process, and its reason is the better one
+            self._give_up(self._halt_reason, self._unanswered or not self.inputs.status.fault)
+
+    def _give_up(self, reason: str, withdraws: bool) -> None:
+        self.withdraws, self._withdrawn_session = withdraws, self.session
+        self._halt_reason, self._pending, self._session_requested = reason, None, False
+        self._enter(LinkState.NEEDS_RESET, reason)
 
     def begin_mirror(self, now: int) -> str:
         """Let the arm lead, for a person: nothing is commanded until `end_mirror`. Return a sentence, or raise ReviewError."""
-        if self.mirrors:
-            return Sentence("the arm leads already")
-        if why := self._why_no_mirror(now):
-            raise ReviewError(Sentence("cannot mirror: {why}", why=why))
-        if self.inputs.stream_may_move(now):
-            raise ReviewError(
-                Sentence("cannot mirror: the command stream moves, or has just begun; stop the plan first")
-            )
-        # a new session without a right to command: executor and gate start over, and what was recorded of the old one is void; it
-        # neither tells the gateway of a request that failed, nor ends the waiting for a person
-        self.mirrors, self._ended_session, self.session = True, self.session, self._new_id()
-        self._pending, self._reset_wanted, self._session_requested = None, False, False
-        self._enter(LinkState.MIRROR, _mirror_sentence(self.inputs))
+        if not self.mirrors:
+            if why := self._why_not_now(now, mirrors=True):
+                raise ReviewError(Sentence("cannot mirror: {why}", why=why))
+            # a new session without a right to command: executor and gate start over; what failed before still waits for a person
+            self.mirrors, self._ended_session, self.session = True, self.session, self._new_id()
+            self._pending, self._reset_wanted, self._session_requested = None, False, False
+            self._enter(LinkState.MIRROR, _ARM_LEADS)
         return self.reason
 
     def end_mirror(self, now: int) -> str:
         """Stop following the arm, for a person, and start over as after `reset`. Return a sentence, or raise ReviewError."""
         if not self.mirrors:
             raise ReviewError(Sentence("the arm does not lead: {why}", why=self.sentence))
-        if self.inputs.status.has_failed:
-            raise ReviewError(_with_remedy(self.inputs, Sentence("mirror mode stays on: {reason}", reason=self.reason)))
-        if why := self._why_no_mirror(now):
+        if why := self._why_not_now(now, mirrors=True):
             raise ReviewError(Sentence("cannot leave mirror mode: {why}", why=why))
         self.mirrors = False
-        return self._after_mirror()
-
-    def _after_mirror(self) -> str:
-        if self.inputs.status.reads_only:
-            return Sentence("mirror mode has ended; the gateway is read-only: its Ethernet XML needs ONLYSEND FALSE")
         self._want_session()
-        return Sentence("mirror mode has ended; twin and gateway start over from the arm's pose")
-
-    def _why_no_mirror(self, now: int) -> str:
-        # a gateway that only reads is enough
-        missing = self.inputs.obstacle(now, mirrors=True)
-        return missing[1] if missing is not None else self.inputs.why_not_at_rest(now)
+        return Sentence("mirror mode has ended")
 
     def halt(self, reason: str) -> None:
         """Stop forwarding commands until a person calls `reset`; used after a stop was sent to the gateway."""
@@ -227,8 +207,7 @@ class LinkSupervisor:
 
     def poll(self, now: int) -> Control | None:
         """Update the state; return a control message to send now, or None."""
-        missing = self.inputs.obstacle(now, self.mirrors)
-        if missing is not None:
+        if missing := self.inputs.obstacle(now, self.mirrors):
             self._pending, self._reset_wanted = None, False
             self._enter(*missing)
             return None
@@ -247,39 +226,35 @@ class LinkSupervisor:
 
     def _update_state(self, now: int) -> None:
         """Decide which side may command: broker, gateway and arm are there."""
-        known = self.inputs
+        known, status = self.inputs, self.inputs.status
         if self.mirrors:
-            self._enter(LinkState.MIRROR, _mirror_sentence(self.inputs))
+            self._enter(LinkState.MIRROR, _ARM_LEADS)
+        elif self.state is LinkState.RESYNC and self._session_requested:
+            if self._stop_at_request != self.known_stop:
+                self._void_request()
+        elif self._halt_reason is not None and self.state not in (LinkState.ARMED, LinkState.RESYNC):
+            # what the gateway still knows it says better than the process before this one
+            reason = _stop_sentence(known) if self._waited_before and status.fault else self._halt_reason
+            self._enter(LinkState.NEEDS_RESET, reason)
+        elif status.fault:
+            self._enter(LinkState.NEEDS_RESET, _stop_sentence(known))
         elif self.state is LinkState.ARMED:
             # a status sent before the arming was answered still says ready
-            recently = now - self._sent_at < RETRY
-            # armed is only what shows no fault: this one came later
-            if known.status.fault:
-                self._enter(LinkState.NEEDS_RESET, _stop_sentence(self.inputs))
-            elif not recently and not known.follows(self.session):
-                self._enter(LinkState.NEEDS_RESET, _gateway_sentence(self.inputs))
+            if now - self._sent_at >= RETRY and not known.follows(self.session):
+                self._enter(LinkState.NEEDS_RESET, _gateway_sentence(known))
         elif self.state is LinkState.RESYNC:
-            if known.status.fault and not self._session_requested:
-                self._enter(LinkState.NEEDS_RESET, _stop_sentence(self.inputs))
-            elif self._session_requested and self._stop_at_request != self.known_stop:
-                self._void_request()
-        elif self._halt_reason is not None:
-            # what the gateway still knows it tells better than the process before this one
-            reason = _stop_sentence(self.inputs) if self._waited_before and known.status.fault else self._halt_reason
-            self._enter(LinkState.NEEDS_RESET, reason)
-        elif known.status.fault:
-            self._enter(LinkState.NEEDS_RESET, _stop_sentence(self.inputs))
+            pass
         elif known.stopped_before:
-            values = {"reason": known.stopped_before, "state": known.status.state}
+            values = {"reason": known.stopped_before, "state": status.state}
             stopped = Sentence("gateway was stopped before it was started again ({reason}), and is {state}", **values)
-            self._enter(LinkState.NEEDS_RESET, _with_remedy(self.inputs, stopped))
-        elif not self._was_armed and known.status.state == "ready":
+            self._enter(LinkState.NEEDS_RESET, _with_remedy(known, stopped))
+        elif not self._was_armed and status.state == "ready":
             self._begin_session(Sentence("first session"))
         elif known.could_go_on and known.within_tolerance(now) and known.at_rest(now):
             # nothing could jump
             self._begin_session(Sentence("the link is back and the poses agree within the start tolerance"))
         elif self.state is not LinkState.NEEDS_RESET:
-            self._enter(LinkState.NEEDS_RESET, Sentence("{reason}; call reset", reason=_gateway_sentence(self.inputs)))
+            self._enter(LinkState.NEEDS_RESET, Sentence("{reason}; call reset", reason=_gateway_sentence(known)))
 
     def _choose_message(self, now: int) -> None:
         """Choose the next control message."""
@@ -314,19 +289,14 @@ class LinkSupervisor:
         self._enter(LinkState.RESYNC, reason)
 
     def _void_request(self) -> None:
-        self.withdraws = self._unanswered and not self.inputs.status.fault
-        self._withdrawn_session = self.session
-        self._pending, self._session_requested = None, False
-        run, _ = self._stop_at_request
-        if run != self.inputs.status.run:
-            self._halt_reason = Sentence("gateway was started again since the call; call reset")
+        status = self.inputs.status
+        if self._stop_at_request[0] != status.run:
+            reason = Sentence("gateway was started again since the call; call reset")
         else:
-            number, reason = str(self.inputs.status.fault_number), self.inputs.status.reason
-            self._halt_reason = _with_remedy(
-                self.inputs,
-                Sentence("gateway was stopped since the call (stop {number}): {reason}", number=number, reason=reason),
-            )
-        self._enter(LinkState.NEEDS_RESET, self._halt_reason)
+            values = {"number": str(status.fault_number), "reason": status.reason}
+            stopped = Sentence("gateway was stopped since the call (stop {number}): {reason}", **values)
+            reason = _with_remedy(self.inputs, stopped)
+        self._give_up(reason, self._unanswered and not status.fault)
 
     def _send_reset(self, session: str, now: int) -> None:
         # without a request there is no fault in the newest status, and so none that its number would clear
@@ -337,15 +307,6 @@ class LinkSupervisor:
     def _send(self, verb: str, session: str, now: int, value: object = None) -> None:
         self._pending = self._outgoing = Control(self._new_id(), session, verb, value)
         self._sent_at, self._unanswered = now, True
-
-
-def _mirror_sentence(known: LinkObservations) -> Sentence:
-    leads = Sentence("the arm leads, the twin follows; nothing is commanded")
-    if known.status.reads_only:
-        return Sentence("{leads}; the gateway is read-only", leads=leads)
-    if known.status.fault:
-        return Sentence("{leads}; the gateway was stopped and is {state}", leads=leads, state=known.status.state)
-    return leads
 
 
 def _gateway_sentence(known: LinkObservations) -> Sentence:
@@ -363,3 +324,90 @@ def _with_remedy(known: LinkObservations, reason: str) -> Sentence:
     if known.status.has_failed:
         return Sentence("{reason}; restart rsi_gateway, then call reset", reason=reason)
     return Sentence("{reason}; call reset", reason=reason)
+
+
+# -- bare mode
+
+#: What is not checked with a bare PLC, one sentence each; `docs/broker.md` says what follows from it.
+NOT_CHECKED = (
+    Sentence("configuration: whether the PLC has the same joint ranges, speeds and accelerations, is not compared"),
+    Sentence("session: the PLC takes strings from every client that may write on `command`"),
+    Sentence("sequence: strings that are lost, doubled or reordered are not noticed, in neither direction"),
+    Sentence("age: a string that travelled too long counts as new, in both directions"),
+    Sentence("answers: a stop is not confirmed; why the PLC stopped, and how far the arm goes on, is not known"),
+    Sentence("speed limit: it is not sent to the PLC; the executor alone obeys it"),
+    Sentence("controller: what stands behind the PLC (RSI, servo, brakes) is not known"),
+    Sentence("comparison: the gate compares at the present moment, so the whole round trip counts as lag"),
+)
+#: How a person arms; with --robot where the robot is not the command's default.
+ARM_COMMAND = "rosrun construction_twin twin arm --responsible NAME"
+#: Longest name of a person.
+_LONGEST_NAME = 64
+
+
+class BareSupervisor(LinkSupervisor):
+    """Arms a PLC that knows only the joint string, `ready` and `offline`: in the name of a responsible person alone."""
+
+    kind, sends_control, not_checked = PLC, False, NOT_CHECKED
+
+    def __init__(self, config: GatewayConfig, new_id: Callable[[], str]):
+        super().__init__(config, new_id)
+        # the first one that is armed must be another, so that twin and gate start over with it
+        self.session = new_id()
+
+    def poll(self, now: int) -> None:
+        """Update the state; there is never anything to send."""
+        super().poll(now)
+        self.inputs.offline_received = False
+
+    def _enter(self, state: LinkState, reason: str) -> None:
+        super()._enter(state, reason)
+        # it ends with the session
+        if state not in (LinkState.RESYNC, LinkState.ARMED):
+            self.responsible = ""
+
+    def _update_state(self, now: int) -> None:
+        if self.mirrors:
+            super()._update_state(now)
+        elif self.state in (*ABSENT, LinkState.MIRROR):
+            arm = Sentence("a bare PLC is armed by a person, by name: {command}", command=ARM_COMMAND)
+            self._enter(LinkState.NEEDS_RESET, arm)
+
+    def _choose_message(self, now: int) -> None:
+        # a stream in motion may pass the arm's pose; no gateway would refuse what begins at speed
+        known = self.inputs
+        together = known.within_tolerance(now) and known.at_rest(now) and known.stream_rests(now)
+        if self.state is LinkState.RESYNC and together:
+            armed = Sentence(
+                "bare PLC, session {session}; {name} is responsible for what is not checked: {topics}",
+                session=self.session,
+                name=self.responsible,
+                topics=", ".join(sentence.partition(":")[0] for sentence in self.not_checked),
+            )
+            self._enter(LinkState.ARMED, armed)
+
+    def request_arm(self, now: int, person: str = "") -> None:
+        """Begin a session in the name of the person who is responsible for what is not checked; ReviewError where it cannot."""
+        name = person.strip()
+        if not name or len(name) > _LONGEST_NAME or not name.isprintable():
+            values = {"name": repr(name[:_LONGEST_NAME]), "command": ARM_COMMAND}
+            raise ReviewError(Sentence("a bare PLC is armed in a person's name, {name} is none: {command}", **values))
+        if self.state is not LinkState.NEEDS_RESET:
+            raise ReviewError(Sentence("cannot arm: {why}", why=self.sentence))
+        if unrest := self.inputs.why_not_at_rest(now):
+            raise ReviewError(Sentence("cannot arm: {why}", why=unrest))
+        self.responsible = name
+        self.requests += 1
+        self._begin_session(Sentence("{name} has taken the responsibility; twin and arm take the same pose", name=name))
+
+    def withdraw(self, request: int, reason: str) -> None:
+        """Give up arming, because the poses do not meet in time: it must not happen later, when the person is gone."""
+        if request == self.requests and self.state is LinkState.RESYNC:
+            self.halt(reason)
+
+    def _want_session(self) -> None:
+        """Leave arming to a person, by name."""
+
+    def request_reset(self, now: int) -> None:
+        """Raise ReviewError: a person's name is needed."""
+        raise ReviewError(Sentence("cannot reset a bare PLC without a name: {command}", command=ARM_COMMAND))

@@ -1,7 +1,6 @@
-"""The bridge's side of the tool: commands become control messages, statuses and answers become what `tool` tells.
+"""The bridge's side of the tool: commands become control messages, statuses and answers become the report on `tool`.
 
-Pure: events in, messages and reports out. A switch is sent once and never again: its stamp is the moment for which it was meant.
-Whether it is armed, has fired or is void only the gateway knows; what it told last stays told until it tells something else.
+Pure. A switch is sent once: its stamp is the moment for which it was meant. Its state is the gateway's last word.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ class ToolLink:
     # -- from the executor
 
     def switch(self, id: str, output: str, value: bool, stamp: int, session: str, obstacle: str) -> Control | None:
-        """Take a switch at a stamp [ns]; return the message for the gateway, None when it is refused here, as for an `obstacle`."""
+        """Return the message for a switch at a stamp [ns]; None: it is refused here, as for an `obstacle`."""
         if id in self._switches or id in self._by_control.values():
             self._refused = Sentence("tool: switch {id} was asked for before", id=repr(id))
             return None
@@ -48,7 +47,7 @@ class ToolLink:
         return control
 
     def void(self, session: str) -> Control:
-        """Return the message that makes every armed switch void: also without a session, as a stop."""
+        """Return the message that makes every armed switch void, also without a session."""
         return Control(self._new_id(), session, "void")
 
     @property
@@ -58,7 +57,7 @@ class ToolLink:
         return frozenset((*armed, *self._by_control.values()))
 
     def on_gate(self, is_open: bool, session: str) -> Control | None:
-        """Take what the monitor says of its gate; return the message that voids what waits, once; None for nothing."""
+        """Return the message that voids what waits where the gate has closed, once."""
         if is_open or self.waiting <= self._voided:
             return None
         self._voided = self.waiting
@@ -67,7 +66,7 @@ class ToolLink:
     # -- from the gateway
 
     def on_answer(self, answer: GatewayAnswer) -> None:
-        """Take the gateway's answer to a control message, also to others' and to other verbs."""
+        """Store the gateway's answer to a switch; others are ignored."""
         if answer.id not in self._by_control or answer.verb != "switch":
             return
         if answer.ok:
@@ -76,7 +75,7 @@ class ToolLink:
         self._record_switch(self._by_control.pop(answer.id), state, cut(answer.reason))
 
     def on_status(self, status: GatewayStatus) -> None:
-        """Take the gateway's status."""
+        """Store the gateway's status."""
         if status.run and status.run != self._run:
             if self._run:
                 self._refuse_waiting(Sentence("the gateway was started again: whether it fired is not known"))
@@ -107,16 +106,13 @@ class ToolLink:
     # -- to ROS
 
     def state_report(self, obstacle: str) -> ToolReport:
-        """Return what `tool` tells; `obstacle`: why the gateway's status says nothing of the present."""
-        status = self._status
-        switches = dict(self._switches)
-        if obstacle:
-            return replace(status, known=False, switches=switches, reason=obstacle)
-        return replace(status, switches=switches, reason=status.reason or self._refused)
+        """Return the report on `tool`; `obstacle`: why the gateway's status is not the present one."""
+        status, reason = self._status, obstacle or self._status.reason or self._refused
+        return replace(status, known=status.known and not obstacle, switches=dict(self._switches), reason=reason)
 
 
 def tool_report(status: GatewayStatus) -> ToolReport:
-    """Return what a status says of the gateway's tool."""
+    """Return the tool in a status."""
     if status.tool is None:
         return ToolReport(reason=Sentence("the gateway's configuration has no tool: a robot without hands"))
     tool, states = status.tool, {state.word: state for state in SwitchState}

@@ -26,10 +26,11 @@ from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.files import read_file
 from construction_twin.core.network import is_loopback
 from construction_twin.mqtt.fast_client import DirectClient, FastClient, check_paho
 
-#: An account file, and a password file, are short; anything longer is something else [bytes].
+#: Longest account file and password file [bytes].
 _MAX_BYTES = 65536
 
 
@@ -101,13 +102,9 @@ def load_account(path: str | Path) -> Account:
 
 def _read(path: str | Path) -> str:
     try:
-        with open(path, encoding="utf-8") as file:
-            text = file.read(_MAX_BYTES + 1)
+        return read_file(path, _MAX_BYTES).decode()
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(str(path), getattr(error, "strerror", str(error)), "a readable text file") from error
-    if len(text) > _MAX_BYTES:
-        raise ConfigurationError(str(path), f"more than {_MAX_BYTES} characters", "a short text file")
-    return text
+        raise ConfigurationError(str(path), getattr(error, "strerror", str(error)), "a short text file") from error
 
 
 def _refuse_shared(path: str) -> None:
@@ -143,16 +140,16 @@ class Broker:
 
 
 def unique_id(robot: str, role: str) -> str:
-    """Return a client id that cannot be guessed: a client that connects with another one's id takes its connection away."""
+    """Return a client id that cannot be guessed: who connects with another one's id takes its connection away."""
     return f"{robot}-{role}-{secrets.token_hex(8)}"
 
 
-#: What the broker says in a client's place when its connection is lost.
+#: Last will of a client.
 OFFLINE = json.dumps({"state": "offline", "reason": "connection lost"})
 
 
 def offline_word(run: str, connection: int) -> str:
-    """Return `OFFLINE` of a run of the client's program and one of its connections: a broker may notice late that one is lost."""
+    """Return a last will that names run and connection: a broker may notice late that one is lost."""
     return json.dumps({"state": "offline", "reason": "connection lost", "run": run, "connection": connection})
 
 
@@ -167,13 +164,13 @@ def make_client(
     """Return a client that is not connected yet.
 
     Args:
-        will: What the broker publishes on `will_topic` when the connection is lost; empty: its retained message is taken away.
+        will: Empty: the retained message on `will_topic` is deleted.
         direct: Send from the thread that publishes, where there is no TLS; for a client served by `loop_start`.
     """
     kind = DirectClient if direct and not broker.encrypted else FastClient
     client = kind(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=MQTTProtocolVersion.MQTTv5)
     client.will_set(will_topic, will, qos=1, retain=will_retained)
-    # the same on a TLS socket: it hands the option to the TCP socket below
+    # else traffic in both directions waits for the peer's delayed acknowledgement, up to 40 ms
     client.on_socket_open = _without_delay
     client.reconnect_delay_set(min_delay=1, max_delay=2)
     if broker.account is not None and broker.account.user:

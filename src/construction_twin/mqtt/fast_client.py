@@ -1,8 +1,7 @@
-"""A paho client that sends and reads joint strings by a shorter code path.
+"""A paho client that sends and reads joint strings by a shorter code path, with private parts of the tested paho.
 
 Per message paho builds a table of all MQTT 5 properties (25 and 50 us), reads a packet in three pieces, keeps a record with a lock
-of each that it sends, and hands what another thread publishes to its own. It has no public place for this: the private parts used
-here are those of the tested versions.
+of each that it sends, and hands what another thread publishes to its own.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ from collections.abc import Callable
 from paho.mqtt import __version__ as paho_version
 from paho.mqtt import client as paho
 from paho.mqtt.enums import MQTTErrorCode
+from paho.mqtt.properties import VariableByteIntegers
 
 from construction_twin.core.errors import ConfigurationError
 
@@ -23,8 +23,6 @@ from construction_twin.core.errors import ConfigurationError
 TESTED_VERSIONS = ("2.2.0",)
 #: What a stream's callback takes: payload, user properties, whether the message was retained.
 StreamCallback = Callable[[bytes, list[tuple[str, str]], bool], None]
-#: How paho begins the name of its thread; the client's id follows.
-_PAHO_THREAD = "paho-mqtt-client-"
 #: Most that a packet holds beside topic and payload, without properties [bytes].
 _AROUND = 10
 _USER_PROPERTY = 0x26
@@ -52,26 +50,11 @@ class UserProperties:
                 data = text.encode()
                 parts += (_LENGTH.pack(len(data)), data)
         packed = b"".join(parts)
-        return _variable_length(len(packed)) + packed
-
-    def __repr__(self) -> str:
-        return f"UserProperties({self.UserProperty})"
-
-
-def _variable_length(value: int) -> bytes:
-    digits = bytearray()
-    while value > 127:
-        digits.append(value & 127 | 128)
-        value >>= 7
-    digits.append(value)
-    return bytes(digits)
+        return VariableByteIntegers.encode(len(packed)) + packed
 
 
 def read_plain(packet: bytes) -> tuple[bytes, UserProperties, bytes] | None:
-    """Return topic, properties and payload of an MQTT 5 PUBLISH of QoS 0 behind its fixed header; None where paho must read it.
-
-    Read are at most 127 bytes of user properties in printable ASCII.
-    """
+    """Return topic, at most 127 bytes of ASCII user properties and payload of a PUBLISH of QoS 0; None: paho must read it."""
     start = 2 + int.from_bytes(packet[:2], "big")
     if start >= len(packet) or packet[start] > 127 or start + 1 + packet[start] > len(packet):
         return None
@@ -121,15 +104,15 @@ def received_pairs(message: paho.MQTTMessage) -> list[tuple[str, str]]:
 
 
 class FastClient(paho.Client):
-    """A client with streams, topics of which many messages come or go per second. It sends nothing that is too large.
+    """A client with streams: topics of which many messages come or go per second.
 
     Attributes:
-        largest: Longest packet that the broker takes [bytes]; None: any.
-        on_too_large: Takes the sentence about a longer one, once per topic.
+        largest: Longest packet that the broker takes [bytes]; it would hang up on a longer one. None: any.
+        on_too_large: Logs a longer one, once per topic.
     """
 
     largest: int | None = None
-    on_too_large: Callable[[str], object] | None = None
+    on_too_large: Callable[[str], object] = print
 
     def __init__(self, *arguments, **options):
         super().__init__(*arguments, **options)
@@ -139,32 +122,25 @@ class FastClient(paho.Client):
 
     def publish(self, topic, payload=None, qos=0, retain=False, properties=None) -> paho.MQTTMessageInfo:
         """Publish as paho does; what is too large for the broker gets `MQTT_ERR_PAYLOAD_SIZE`."""
-        if self.largest is not None:
-            content = payload.encode() if isinstance(payload, str) else payload or b""
-            beside = len(properties.pack()) if properties else 0
-            if self._is_too_large(topic, len(topic.encode()) + len(content) + beside + _AROUND):
-                info = paho.MQTTMessageInfo(0)
-                info.rc = MQTTErrorCode.MQTT_ERR_PAYLOAD_SIZE
-                return info
-        return super().publish(topic, payload, qos, retain, properties)
-
-    def _is_too_large(self, topic: str, size: int) -> bool:
-        """Return whether a packet [bytes] is longer than what the broker takes, and say so the first time."""
+        content = payload.encode() if isinstance(payload, str) else payload or b""
+        size = len(topic.encode()) + len(content) + _AROUND
         if self.largest is None or size <= self.largest:
-            return False
-        if topic not in self._too_large and self.on_too_large is not None:
+            return super().publish(topic, payload, qos, retain, properties)
+        if topic not in self._too_large:
             self._too_large.add(topic)
-            found = f"{size} bytes, and the broker takes {self.largest} (its max_packet_size)"
-            self.on_too_large(f"{topic} is not sent: {found}")
-        return True
+            self.on_too_large(
+                f"{topic} is not sent: {size} bytes, and the broker takes {self.largest} (max_packet_size)"
+            )
+        info = paho.MQTTMessageInfo(0)
+        info.rc = MQTTErrorCode.MQTT_ERR_PAYLOAD_SIZE
+        return info
 
     def loop_start(self) -> MQTTErrorCode:
         """Serve the connection in a thread of paho's."""
         result = super().loop_start()
-        for thread in threading.enumerate():
+        if self._thread is not None:
             # with paho's name a traceback would write the client's id into a log
-            if thread.name.startswith(_PAHO_THREAD):
-                thread.name = "mqtt"
+            self._thread.name = "mqtt"
         return result
 
     def on_stream(self, topic: str, callback: StreamCallback) -> None:
@@ -180,9 +156,7 @@ class FastClient(paho.Client):
         """Publish with QoS 0, from the caller's thread unless paho has one of its own; dropped without a connection."""
         name = topic.encode()
         body = _LENGTH.pack(len(name)) + name + (UserProperties(pairs).pack() if pairs else b"\0") + payload
-        packet = b"\x30" + _variable_length(len(body)) + body
-        if self._is_too_large(topic, len(packet)):
-            return
+        packet = b"\x30" + VariableByteIntegers.encode(len(body)) + body
         with self._writing:
             sock = self._sock
             if sock is None:
@@ -204,17 +178,8 @@ class FastClient(paho.Client):
 
     def _send_rest(self, packet: bytes, sent: int) -> None:
         # before what other threads have queued since: a packet that was begun is sent to its end first
-        self._out_packet.appendleft(
-            {
-                "command": paho.PUBLISH,
-                "mid": 0,
-                "qos": 0,
-                "pos": sent,
-                "to_process": len(packet) - sent,
-                "packet": packet,
-                "info": paho.MQTTMessageInfo(0),
-            }
-        )
+        rest = {"command": paho.PUBLISH, "mid": 0, "qos": 0, "pos": sent, "to_process": len(packet) - sent}
+        self._out_packet.appendleft(rest | {"packet": packet, "info": paho.MQTTMessageInfo(0)})
         # a callback must not find the connection lost while paho calls it; the loop goes on then
         if self._in_callback_mutex.acquire(False):
             self._in_callback_mutex.release()

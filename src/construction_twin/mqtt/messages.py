@@ -1,7 +1,4 @@
-"""MQTT messages around the joint string: topics, user properties, control messages. Standard library only.
-
-Property values are text on the wire; what is not exactly as written here is refused (PayloadError), never guessed.
-"""
+"""MQTT messages around the joint string: topics, user properties, control messages. Standard library only."""
 
 from __future__ import annotations
 
@@ -31,12 +28,10 @@ VERBS = ("arm", "stop", "reset", "end", "speed_limit", "switch", "void")
 READY, OFFLINE = "ready", "offline"
 #: Who answers on `status`: rsi_gateway, in JSON, or a bare PLC, in those two words.
 RSI, PLC = "rsi", "plc"
-#: Number of what gateway and bridge say to each other on `status` and `control`. It rises when one side must know something that
-#: the other one did not say before; both sides must have the same. What names none speaks the first.
+#: Version of `status` and `control`, which gateway and bridge must have alike; a message that names none has the first.
 PROTOCOL, FIRST_PROTOCOL = 2, 1
-#: Control messages are short; anything longer is not one.
 MAX_CONTROL_BYTES = 2048
-#: Of a request, what its answer repeats; and of a longer one that was not read, nothing of it is looked for [bytes].
+#: What the answer to a request repeats, and the longest request in which it is looked for [bytes].
 _IDENTITY, MAX_IDENTITY_BYTES = ("id", "kind", "message", "plan_hash", "plan_id", "reviewer", "task", "verdict"), 8192
 
 
@@ -60,7 +55,7 @@ class Topics:
         return f"{self.prefix}/{self.robot}/{name}"
 
     def of(self, kind: RequestKind, account: str = "+") -> str:
-        """Where requests of a kind come in from one account; ``+`` for any."""
+        """Where one account's requests of a kind come in; ``+``: any account's."""
         return self._topic(kind.topic.format(account))
 
     def ack_of(self, kind: RequestKind) -> str:
@@ -73,17 +68,11 @@ class Topics:
     status, bridge_status = _level("status"), _level("bridge/status")
     #: Verbs to the gateway, and its answers.
     control, control_ack = _level("control"), _level("control/ack")
-    #: Retained: the plan under review, what the arm must not touch, the tasks of the building model.
-    plan, scene, work_tasks = _level("plan"), _level("scene"), _level("work/tasks")
-    #: Retained: what the rehearsal of that plan has found.
-    rehearsal = _level("rehearsal")
-    #: Retained while a plan is played: where the tool goes.
-    path = _level("path")
-    #: Retained: what a person must not miss, and who has read it.
-    messages = _level("messages")
+    #: Retained: the plan under review and its rehearsal, the scene, the tasks, where the tool goes, what a person must not miss.
+    plan, rehearsal, scene = _level("plan"), _level("rehearsal"), _level("scene")
+    work_tasks, path, messages = _level("work/tasks"), _level("path"), _level("messages")
     #: The state of everything, for programs that show it, and the status line for a foreman.
     view, screen = _level("view"), _level("screen")
-    #: What a person presses to stop, and the answers.
     stop_by, stop_ack = partialmethod(of, STOP), _level(STOP.ack)
 
 
@@ -132,12 +121,12 @@ def is_session(text: str) -> bool:
 
 
 def message_number(text: str) -> int | None:
-    """Return the number of which a control message's id consists, up to 19 digits; None when it is another text."""
+    """Return the number, up to 19 digits, that a control message's id is; None: another text."""
     return int(text) if _NUMBER.fullmatch(text) else None
 
 
 def read_command_properties(pairs: list[tuple[str, str]]) -> CommandProperties:
-    """Parse a command's user properties; PayloadError (``properties``) when they are not exactly session, seq and stamp."""
+    """Parse a command's user properties; PayloadError ``properties``."""
     values = _read(pairs, ("session", "seq", "stamp"))
     if not is_session(session := values["session"]):
         raise PayloadError("properties", f"property session is {session[:32]!r}; expected letters, digits, - and _")
@@ -145,19 +134,17 @@ def read_command_properties(pairs: list[tuple[str, str]]) -> CommandProperties:
 
 
 def read_state_properties(pairs: list[tuple[str, str]]) -> StateProperties:
-    """Parse a state's user properties; PayloadError (``properties``) when they are not exactly seq, stamp and command_stamp."""
+    """Parse a state's user properties; PayloadError ``properties``."""
     values = _read(pairs, ("seq", "stamp", "command_stamp"))
     return StateProperties(*(_number(name, values[name]) for name in ("seq", "stamp", "command_stamp")))
 
 
 def no_properties(pairs: list[tuple[str, str]]) -> StateProperties | None:
-    """Refuse user properties beside a bare PLC's state: PayloadError (``properties``)."""
-    if not pairs:
-        return None
-    found = (
-        f"a state with user properties {_shown_names(pairs)}; expected a bare PLC's, or start with gateway_kind:=rsi"
-    )
-    raise PayloadError("properties", found)
+    """Refuse user properties beside a bare PLC's state: PayloadError ``properties``."""
+    if pairs:
+        found = f"a state with user properties {_shown_names(pairs)}; expected a bare PLC's"
+        raise PayloadError("properties", found)
+    return None
 
 
 def _shown_names(pairs: list[tuple[str, str]]) -> str:
@@ -207,12 +194,12 @@ class BridgeStatus:
 
 
 def protocol_of(document: object) -> object:
-    """Return the protocol that a status, or the value of a control message, names; `FIRST_PROTOCOL` where none is named."""
+    """Return the protocol of a status or of a control message's value."""
     return document.get("protocol", FIRST_PROTOCOL) if isinstance(document, dict) else FIRST_PROTOCOL
 
 
 def other_protocol(gateway: object, bridge: object) -> str:
-    """Return in a sentence that gateway and bridge are of different versions; "" for one protocol."""
+    """Return a sentence where gateway and bridge are of different versions, else ""."""
     if type(gateway) is type(bridge) is int and gateway == bridge:
         return ""
     return Sentence(
@@ -224,7 +211,7 @@ def other_protocol(gateway: object, bridge: object) -> str:
 
 
 def arm_value(config_hash: str, run: str) -> dict[str, str | int]:
-    """Return the value of `arm`: this side's protocol, and configuration and present run as the gateway's status names them."""
+    """Return the value of `arm`: configuration and present run as in the gateway's status."""
     return {"hash": config_hash, "run": run, "protocol": PROTOCOL}
 
 
@@ -234,7 +221,7 @@ def reset_value(run: str, fault_number: int) -> dict[str, str | int]:
 
 
 def parse_control(payload: bytes) -> Control:
-    """Parse a control message; PayloadError (``control``) when it is not one."""
+    """Parse a control message; PayloadError ``control``."""
     document = parse_object(payload, "control")
     if set(document) - {"value"} != {"id", "session", "verb"}:
         found = f"control message with keys {shown_keys(document)}; expected id, session, verb and value"
@@ -269,7 +256,7 @@ def _without_duplicates(pairs: list[tuple[str, object]]) -> dict:
 def identity_of(
     payload: bytes, document: Mapping[str, object] | None = None, limit: int = MAX_IDENTITY_BYTES
 ) -> dict[str, str]:
-    """Return the short texts in a request by which its sender knows the answer, also where the request is refused."""
+    """Return the short texts in a request, also a refused one, by which its sender knows the answer."""
     if document is None:
         try:
             document = parse_object(payload, "request", limit)
@@ -280,14 +267,14 @@ def identity_of(
 
 
 def demand_live(retained: bool, what: str) -> None:
-    """Refuse a retained message (PayloadError, ``retained``): what was asked for once is not asked for now."""
+    """Refuse a retained message, which is of an unknown time: PayloadError ``retained``."""
     if retained:
         found = f"retained {what}: it is unknown when it was meant; publish it without the retain flag"
         raise PayloadError("retained", found)
 
 
 def parse_object(payload: bytes, reason: str, limit: int = MAX_CONTROL_BYTES) -> dict:
-    """Return the JSON object in `payload`; PayloadError (`reason`) when there is none, or more than `limit` bytes."""
+    """Return the JSON object in a payload of at most `limit` bytes; PayloadError `reason`."""
     if len(payload) > limit:
         raise PayloadError(reason, f"{reason} message of {len(payload)} bytes; at most {limit} are read")
     try:
@@ -308,10 +295,7 @@ class Intervention:
 
 
 def parse_intervention(account: str, payload: bytes, retained: bool) -> Intervention:
-    """Return what is asked for in a message on `stop/<account>`; PayloadError, ``retained`` or ``stop``.
-
-    The bridge's side reads it by its model (`link.requests.ButtonPress`); a moment may stand in it.
-    """
+    """Parse a message on `stop/<account>` as `link.requests.ButtonPress`; PayloadError ``retained`` or ``stop``."""
     demand_live(retained, STOP.name)
     document = parse_object(payload, STOP.name, STOP.limit)
     id_ = document.get("id", "")

@@ -1,7 +1,6 @@
-"""An MQTT connection served from the caller's select loop: reading and writing never block, nor compete for the interpreter.
+"""An MQTT connection served from the caller's select loop, in whose thread the gateway also answers RSI packets.
 
-The gateway answers RSI packets from the same thread. Only connecting, which can block for seconds, has a short-lived thread of its
-own, and until that has succeeded the loop leaves the client alone.
+Reading and writing never block; connecting, which can take seconds, has a thread of its own.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ class PolledClient:
 
     Args:
         client: With `connect_async` called and callbacks set.
-        on_failure: Takes the OSError of an attempt to connect, in the thread that connects.
+        on_failure: Called in the thread that connects.
     """
 
     def __init__(
@@ -90,7 +89,6 @@ class PolledClient:
             self._events = wanted
 
     def _decrypted(self) -> bool:
-        """True when TLS holds bytes that the selector cannot see."""
         sock = self.client.socket()
         return isinstance(sock, ssl.SSLSocket) and sock.pending() > 0
 

@@ -1,7 +1,4 @@
-"""What people and programs may ask for by MQTT, each kind stated once: topics, right, answer, pace. Standard library only.
-
-Endpoints, names of topics, a site's access rules, answers and limits of how often are made from these.
-"""
+"""What people and programs may ask for by MQTT, each kind stated once: topics, right, answer, pace. Standard library only."""
 
 from __future__ import annotations
 
@@ -19,15 +16,13 @@ GATEWAY, EXECUTOR, BRIDGE = "gateway", "executor", "bridge"
 
 @dataclass(frozen=True)
 class Answer:
-    """Every field of an answer, with what it holds while no more is known; a kind of request has some of them.
+    """Every field of an answer, with its value while no more is known; a kind of request has some of them.
 
     Attributes:
-        account, sender: Who asked, as the topic has it; "" in no name.
-        by: Who carries it out.
-        expired: The request was too old.
+        account, sender: Who asked, by the topic; "": no name.
         reviewer: The name on record.
         duration: Of the plan [s].
-        limit: People's speed limit after the request, a fraction of the planned speed; 0: not known.
+        limit: People's speed limit after the request, a fraction of the planned speed; 0: unknown.
     """
 
     id: str = ""
@@ -49,7 +44,6 @@ class Answer:
     limit: float = 0.0
 
 
-#: What each field holds while no more is known.
 UNKNOWN: Mapping[str, object] = vars(Answer())
 
 
@@ -59,13 +53,13 @@ class RequestKind:
 
     Attributes:
         right: What an account needs, of `broker.access.RIGHTS`; "stop": any but `look`; "": no account of a site may.
-        limit: Longest message that is read [bytes], unless the parameter `limited_by` says it.
         topic, ack: Where it comes in and is answered, below ``<prefix>/<robot>/``; ``{}`` is the account.
-        answer: Which fields of `Answer` it has, in their order.
-        pace: How often one account may ask; None: as often as it likes. Kinds of one pace that wait in one queue have it together.
+        answer: Fields of `Answer`, in their order.
+        limit, limited_by: Longest message that is read [bytes], or the parameter that sets it.
+        pace: Of one account; None: any. Kinds of one pace that wait in one queue share it.
         starts: It starts motion or makes it faster, and repeats the moment that its screen had received.
-        by: Who carries out what is pressed; a stop the gateway too.
-        expires: It is void where its moment is too old when its turn comes; of others who carries it out says that.
+        by: Who carries it out; a stop the gateway too.
+        expires: It is void where its moment is too old when its turn comes.
     """
 
     name: str
@@ -81,7 +75,7 @@ class RequestKind:
     limited_by: str = ""
 
     def payload(self, /, **known: object) -> bytes:
-        """Return an answer: what is known of its fields, else `UNKNOWN`, and `said` (`core.sentences`); ValueError for a nan."""
+        """Return an answer with the known fields, and `said` (`core.sentences`); ValueError for a nan."""
         # not by `core.records`: null in the place of a nan would be an answer
         fields = {key: known.get(key, UNKNOWN[key]) for key in self.answer}
         said = templates_of(fields)
@@ -133,8 +127,7 @@ REQUESTS = (
     NAMELESS_TRAJECTORY, TRAJECTORY,
 )  # fmt: skip
 
-#: Answers per second, and at once, to what an account sends that cannot be read, or that is a stop of what stands stopped. What can
-#: be read of a verdict, or of what is pressed, is always answered, and a stop always carried out: those have no pace.
+#: Answers per second to what an account sends that cannot be read, or that stops what is stopped; all else is always answered.
 ANSWERS = 10
 
 

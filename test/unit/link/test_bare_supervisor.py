@@ -7,9 +7,9 @@ from supervisor_bench import POSE, TOLERANCE, BareBench, moved
 
 from construction_twin.core.errors import ReviewError
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.bare_supervisor import ARM_COMMAND, NOT_CHECKED
 from construction_twin.link.gateway_status import GatewayStatus
 from construction_twin.link.observations import FRESH, REST, LinkState
+from construction_twin.link.supervisor import ARM_COMMAND, NOT_CHECKED
 
 
 @pytest.fixture
@@ -104,36 +104,17 @@ class TestArming:
             waiting.supervisor.request_arm(waiting.now, "Ada")
 
     def test_who_is_responsible_already_is_named(self, armed):
-        with pytest.raises(ReviewError, match="Ada is responsible already: .*; halt ends it"):
+        with pytest.raises(ReviewError, match="cannot arm: ARMED, .*Ada is responsible"):
             armed.supervisor.request_arm(armed.now, "Grace")
 
 
-@pytest.mark.parametrize("situation, more", [("waiting", "$"), ("armed", "; first end what Ada has armed, with halt$")])
-def test_a_reset_without_a_name_is_refused_with_what_to_do_and_changes_nothing(situation, more, request):
+@pytest.mark.parametrize("situation", ["waiting", "armed"])
+def test_a_reset_without_a_name_is_refused_with_what_to_do_and_changes_nothing(situation, request):
     link = request.getfixturevalue(situation)
     before = link.state
-    with pytest.raises(ReviewError, match=f"cannot reset a bare PLC without a name: .* --responsible NAME{more}"):
+    with pytest.raises(ReviewError, match="cannot reset a bare PLC without a name: .* --responsible NAME$"):
         link.supervisor.request_reset(link.now)
     assert link.run(1.0).state is before
-
-
-def test_a_reset_says_too_why_nothing_could_be_armed(waiting):
-    waiting.pose = moved(5 * TOLERANCE)
-    waiting.poll()
-    with pytest.raises(ReviewError, match="NAME; now it could not either: the arm's pose is unknown or still chang"):
-        waiting.supervisor.request_reset(waiting.now)
-    waiting.publish_word("offline")
-    waiting.poll()
-    with pytest.raises(ReviewError, match="NAME; now it could not either: the PLC says `offline`"):
-        waiting.supervisor.request_reset(waiting.now)
-
-
-def test_refused_strings_are_the_reason_why_nothing_is_armed(waiting):
-    waiting.refusal = "52 bytes b'...'; expected 53"
-    waiting.run(0.6)
-    assert waiting.state is LinkState.NO_CONTROLLER
-    with pytest.raises(ReviewError, match="30 of its strings are refused: 52 bytes .* expected 53"):
-        waiting.supervisor.request_arm(waiting.now, "A")
 
 
 class TestEnds:
@@ -189,7 +170,7 @@ class TestMirror:
         armed.supervisor.begin_mirror(armed.now)
         armed.run(0.5)
         assert armed.state is LinkState.MIRROR and not armed.forwarded and armed.supervisor.responsible == ""
-        assert ARM_COMMAND in armed.supervisor.end_mirror(armed.now)
+        armed.supervisor.end_mirror(armed.now)
         armed.run(0.5)
         assert armed.state is LinkState.NEEDS_RESET
 

@@ -65,7 +65,6 @@ def test_status_and_answer_are_read_and_an_older_gateway_s_says_nothing():
             {"tool": TOOL | tool}
             for tool in (
                 {"known": 1}, {"outputs": {"vacuum": 1}}, {"name": 3}, {"inputs": []}, {"switches": [{}]}, {"switches": [5]},
-                {"switches": [{"id": "a", "state": "armed", "reason": ""}] * 2},
                 *({"switches": [{"id": "a", "state": word, "reason": ""}]} for word in ("pending", "asked", "ARMED", ["armed"])),
                 {"switches": [{"id": 5, "state": "armed", "reason": ""}]}, {"switches": [{}] * 17}, {"reason": None},
                 {"outputs": {str(n): True for n in range(17)}},

@@ -91,7 +91,6 @@ class TestMismatch:
         "change, word",
         [
             ({"hash": "beef"}, "hash"),
-            ({"decimals": 6}, "6 decimals"),
             ({"hash": ""}, "hash"),
             ({"run": ""}, "run"),
             ({"protocol": 1}, "gateway speaks protocol 1, the bridge 2: install the same version on both sides"),

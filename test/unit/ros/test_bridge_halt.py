@@ -164,23 +164,3 @@ def test_a_master_that_does_not_keep_that_is_shown(clocks):
 def test_a_new_launch_begins_without_waiting():
     launch = ElementTree.parse(Path(__file__).parents[3] / "launch/bringup.launch").getroot()
     assert [param.get("value") for param in launch.iter("param") if param.get("name") == mqtt_bridge.WAITS] == [""]
-
-
-def test_in_mirror_mode_with_a_master_that_hangs_and_then_fails(clocks):
-    hangs, asked = threading.Event(), threading.Event()
-
-    def keep(name, _value):
-        if name == mqtt_bridge.MIRROR_MODE:
-            asked.set()
-            assert hangs.wait(10.0)
-            raise OSError("nobody there")
-
-    bench = BridgeBench(clocks, mirrors=True, keep=keep)
-    bench.connect()
-    for _ in range(20):
-        bench.step()
-    assert bench.bridge.on_halt(None).success
-    assert_halted(bench)
-    assert asked.wait(10.0)
-    hangs.set()
-    wait_until(lambda: "mirror_mode was not written" in bench.bridge.diagnose().sentence, what="the warning")

@@ -14,8 +14,8 @@ from gateway_cell import RUN, following
 from processes import wait_until
 
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.bare_supervisor import NOT_CHECKED
 from construction_twin.link.observations import STATUS_TIMEOUT, LinkState
+from construction_twin.link.supervisor import NOT_CHECKED
 from construction_twin.ros.nodes import mqtt_bridge
 from construction_twin.ros.shared import diagnostics
 from construction_twin.rsi.status_channels import RsiStatus
@@ -195,26 +195,14 @@ def test_a_speed_limit_that_waited_when_the_link_was_lost_is_not_sent_later(benc
     assert [control.verb for control in bench.client.controls] == ["arm"]
 
 
-def test_mirror_mode_is_kept_where_the_next_process_finds_it(clocks):
+def test_that_the_arm_led_is_kept_where_the_next_process_finds_it(clocks):
     kept = []
-    bench = BridgeBench(clocks, keep=lambda name, value: name == mqtt_bridge.MIRROR_MODE and kept.append(value))
+    bench = BridgeBench(clocks, keep=lambda name, value: kept.append(value))
     bench.arm_and_rest()
     assert bench.ask("mirror", data=True).success
     bench.step()
     assert bench.bridge.link is LinkState.MIRROR
-    wait_until(lambda: kept == [True], what="what the next process finds")
-    assert bench.bridge.on_halt(None).success
-    bench.step()
-    wait_until(lambda: kept == [True, False], what="what the next process finds")
-    assert not bench.ask("mirror", data=False).success
-
-
-def test_a_bridge_that_is_told_so_begins_in_mirror_mode(clocks):
-    bench = BridgeBench(clocks, mirrors=True)
-    bench.connect()
-    for _ in range(20):
-        bench.step()
-    assert bench.bridge.link is LinkState.MIRROR and bench.client.controls == []
+    wait_until(lambda: kept and "the arm led" in kept[-1], what="what the next process finds")
 
 
 def test_halt_is_published_before_it_is_logged_or_anything_else_is_done(bench, monkeypatch):
@@ -241,21 +229,6 @@ def test_halt_without_a_broker_says_that_the_gateway_brakes_by_itself(bench):
 
 
 # -- strings that are refused, and the bare PLC --------------------------------------------------------------------
-
-
-def test_a_reset_that_fails_because_strings_are_refused_says_that(bench):
-    bench.arm()
-    for _ in range(30):
-        clocks = bench.clocks
-        clocks.run(0.02)
-        bench.bridge.on_status(json.dumps(bench.gateway).encode())
-        bench.bridge.on_state(b"+005.730,-057.29", [], False)
-        bench.bridge.poll()
-    answer = bench.ask("reset")
-    assert not answer.success
-    assert answer.message.startswith(
-        "cannot reset: the arm's pose is unknown: 30 of its strings are refused: 16 bytes b'+005.730,-057.29'; "
-    )
 
 
 def halted_meanwhile(bench, step):
@@ -436,7 +409,7 @@ def test_a_second_person_s_refused_call_does_not_withdraw_the_first_one_s(clocks
 
     clocks.while_waiting = wait
     answer = bench.arm_by_name("Ada")
-    assert not refusals[0].success and "Ada is responsible already" in refusals[0].message
+    assert not refusals[0].success and "Ada has taken the responsibility" in refusals[0].message
     assert answer.success and "Ada is responsible for" in answer.message and bench.bridge.link is LinkState.ARMED
 
 

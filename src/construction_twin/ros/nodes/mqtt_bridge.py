@@ -43,9 +43,8 @@ from construction_twin.srv import ActAsSeen, ActAsSeenRequest
 
 #: Period at which the link is polled, and at which the log is written [s].
 POLL, LOG_PERIOD = 0.02, 0.05
-#: Parameters in the robot's namespace, for the process after this one: whether the arm leads; why a person is waited for.
-MIRROR_MODE, WAITS = "mirror_mode", "waits_for_person"
-
+#: Parameter in the robot's namespace, for the process after this one: why a person is waited for.
+WAITS = "waits_for_person"
 
 _Read = TypeVar("_Read")
 
@@ -75,13 +74,10 @@ class MqttBridge:
     ):
         bare, new_id = settings.gateway_kind == PLC, lambda: uuid.uuid4().hex
         self._strings = JointStrings(codec, config.properties, bare, settings.max_state_age)
-        # not private parameters: those hold settings, and these came about while a bridge ran
-        mirrors, waits = node_io.parameters[MIRROR_MODE] is True, str(node_io.parameters[WAITS])
-        self._saved_parameters = [
-            SavedParameter(value, node_io.parameter_writer(name), name)
-            for value, name in ((mirrors, MIRROR_MODE), (waits, WAITS))
-        ]
-        self._bridge = Bridge(config, bare, settings.reset_timeout, self._strings, new_id, mirrors, waits)
+        # not a private parameter: those hold settings, and this came about while a bridge ran
+        waits = str(node_io.parameters[WAITS])
+        self._saved_waits = SavedParameter(waits, node_io.parameter_writer(WAITS), WAITS)
+        self._bridge = Bridge(config, bare, settings.reset_timeout, self._strings, new_id, waits)
         self._supervisor = self._bridge.supervisor
         self._lock = threading.Lock()
         # orders what is published on `tool`: it comes from several threads
@@ -128,11 +124,10 @@ class MqttBridge:
         now = time.monotonic_ns()
         with self._lock:
             control = self._bridge.poll(now, present_moment())
-            values = self._supervisor.mirrors, self._bridge.waits_for
+            waits = self._bridge.waits_for
         if control is not None:
             self._send(control)
-        for parameter, value in zip(self._saved_parameters, values):
-            parameter.save(value, now)
+        self._saved_waits.save(waits, now)
         self._publish_link(now)
         self._publish_tool()
 
@@ -212,8 +207,6 @@ class MqttBridge:
             q, properties = self._strings.decode_state(payload, pairs, retained, now)
         except PayloadError as error:
             self._diagnostics.refuse(f"state_{error.reason}", str(error))
-            with self._lock:
-                self._supervisor.inputs.on_pose_refused(str(error), now)
             return
         with self._lock:
             self._supervisor.inputs.on_pose(q, now)
@@ -321,8 +314,7 @@ class MqttBridge:
             state = self._supervisor.state
             sentence = f"{state.name}: {self._bridge.reason(self._connection.sentence)}"
             values = self._bridge.values() | self._side_effects.status_fields()
-        problems = [parameter.fault for parameter in self._saved_parameters]
-        if problem := next(filter(None, [*problems, self._side_effects.sentence]), ""):
+        if problem := self._saved_waits.fault or self._side_effects.sentence:
             return Diagnosis(WARN, f"{sentence}; {problem}", values)
         return Diagnosis(OK if state in (LinkState.ARMED, LinkState.MIRROR) else WARN, sentence, values)
 
@@ -340,7 +332,6 @@ def start(settings: Settings, robot: RobotModel, node_io: shell.NodeIO) -> MqttB
 INTERFACE = shell.Interface(
     diagnose=MqttBridge.diagnose,
     parameters=(
-        shell.SharedParameter(MIRROR_MODE, False, written=True),
         shell.SharedParameter(WAITS, "", written=True),
         shell.SharedParameter("gateway"),
     ),
