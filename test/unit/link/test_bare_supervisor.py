@@ -142,7 +142,7 @@ class TestEnds:
         armed.pose = None
         armed.run(FRESH / NANOSECONDS)
         self.end(armed, LinkState.NO_CONTROLLER)
-        assert "no joint string comes" in armed.supervisor.reason
+        assert "no valid joint string comes" in armed.supervisor.reason
 
     def test_the_broker_is_lost(self, armed):
         armed.supervisor.inputs.on_connection(False)
