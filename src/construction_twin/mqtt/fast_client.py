@@ -178,8 +178,18 @@ class FastClient(paho.Client):
 
     def _send_rest(self, packet: bytes, sent: int) -> None:
         # before what other threads have queued since: a packet that was begun is sent to its end first
-        rest = {"command": paho.PUBLISH, "mid": 0, "qos": 0, "pos": sent, "to_process": len(packet) - sent}
-        self._out_packet.appendleft(rest | {"packet": packet, "info": paho.MQTTMessageInfo(0)})
+        info = paho.MQTTMessageInfo(0)
+        self._out_packet.appendleft(
+            {
+                "command": paho.PUBLISH,
+                "mid": 0,
+                "qos": 0,
+                "pos": sent,
+                "to_process": len(packet) - sent,
+                "packet": packet,
+                "info": info,
+            }
+        )
         # a callback must not find the connection lost while paho calls it; the loop goes on then
         if self._in_callback_mutex.acquire(False):
             self._in_callback_mutex.release()
