@@ -45,11 +45,8 @@ def read_lines(path: str | Path) -> list[dict]:
 class AppendOnlyFile:
     """Appends lines to a file, from several threads; a last line without its end (power failure) is cut off at the start.
 
-    Args:
-        failure: Takes the path and what is wrong; returns the error that is raised when a line cannot be written.
-
-    Attributes:
-        lost: Deferred lines dropped beyond `MAX_DEFERRED`.
+    `failure` takes the path and what is wrong, and returns the error to raise. `lost`: deferred lines dropped beyond
+    `MAX_DEFERRED`.
     """
 
     def __init__(self, path: str | Path, failure: Callable[[str, str], ConstructionTwinError], writer: str):

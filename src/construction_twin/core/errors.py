@@ -1,7 +1,4 @@
-"""The package's exceptions: each says what happened, the value, what was expected and what to do.
-
-Library code raises; only ``ros/`` and the commands catch, and make a service answer, a counter or one sentence of it.
-"""
+"""The package's exceptions: what happened, the value, what was expected, what to do. Only ``ros/`` and the commands catch them."""
 
 from __future__ import annotations
 
@@ -104,12 +101,9 @@ class ExecutionError(ConstructionTwinError):
 
 
 class MotionRefused(ConstructionTwinError):
-    """A setpoint fails the motion check and must not be executed.
+    """A setpoint fails the motion check and must not be executed; `joint` "": as a whole; value, limit in SI, nan: none.
 
-    Attributes:
-        reason: Counter: ``range``, ``velocity``, ``acceleration``, ``braking_room``, ``start``, ``order``, ``lead``, ``values``.
-        joint: "" for the setpoint as a whole.
-        value, limit: In SI; nan: none.
+    `reason` is a counter: ``range``, ``velocity``, ``acceleration``, ``braking_room``, ``start``, ``order``, ``lead``, ``values``.
     """
 
     def __init__(self, reason: str, joint: str, value: float, limit: float, unit: str = "rad"):
@@ -129,10 +123,7 @@ class MotionRefused(ConstructionTwinError):
 
 
 class ProtocolError(ConstructionTwinError):
-    """A message from a network does not follow its protocol.
-
-    `reason` is a counter: ``length``, ``format``, ``decimals``; of a telegram ``size``, ``xml``, ``element``, ``number``.
-    """
+    """A message from a network does not follow its protocol; `reason` is a counter, such as ``length``, ``xml``, ``number``."""
 
     def __init__(self, reason: str, message: str):
         self.reason = reason

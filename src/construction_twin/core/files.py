@@ -12,10 +12,7 @@ from construction_twin.core.errors import ConfigurationError
 
 
 def read_file(path: str | Path, most: int) -> bytes:
-    """Read a regular file of at most so many bytes; the `strerror` of an OSError is a phrase for a sentence.
-
-    A named pipe would keep its reader waiting for ever, and a device has no end: neither is opened for waiting.
-    """
+    """Read a regular file (no pipe or device) of at most so many bytes; the `strerror` of an OSError is a phrase for a sentence."""
     with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             raise OSError(errno.EINVAL, "not a regular file", str(path))
@@ -39,10 +36,7 @@ def write_atomically(path: Path, contents: str | bytes) -> None:
 
 
 def write_in_place(path: Path, text: str, room: int) -> None:
-    """Write a short text over what a file holds, filled up with blanks to `room` [bytes], to the disk.
-
-    After an OSError what the file holds is not known.
-    """
+    """Write a short text over what a file holds, filled up with blanks to `room` [bytes], to the disk."""
     data = text.encode().ljust(room)
     file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
     try:

@@ -13,10 +13,7 @@ from construction_twin.core.units import CYCLE
 
 
 def braking_step(distance: float, deceleration: float) -> float:
-    """Return the largest step per cycle after which braking still ends within `distance`; zero or less gives zero.
-
-    Discrete and exact: a step v followed by v - a, v - 2a, ... adds up to `distance`. Inverse of v + `braking_distance`.
-    """
+    """Return the largest step per cycle after which braking ends within `distance`: the inverse of step + `braking_distance`."""
     if distance <= 0.0:
         return 0.0
     cycles = math.floor((math.sqrt(1.0 + 8.0 * distance / deceleration) - 1.0) / 2.0)
@@ -74,10 +71,7 @@ class Follower:
         return self.position
 
     def braking(self) -> tuple[tuple[float, ...], int]:
-        """Return the distance of each joint to rest [rad] and the number of cycles, if `brake` is called in each from now on.
-
-        Near the end of a joint's range it may be less, never more.
-        """
+        """Return the distance of each joint to rest [rad], at most, and the cycles, if `brake` is called in each from now on."""
         distances = tuple([braking_distance(abs(step), budget) for step, budget in zip(self._step, self._budget)])
         return distances, max(math.ceil(abs(step) / budget) for step, budget in zip(self._step, self._budget))
 

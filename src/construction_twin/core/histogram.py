@@ -8,10 +8,7 @@ from collections.abc import Sequence
 
 
 def percentile(edges: Sequence[float], counts: Sequence[int], fraction: float) -> float | None:
-    """Return the upper edge of the bin that holds the given fraction, (0, 1], of all counts; None: it has none, or nothing counts.
-
-    Edges are the upper ones of the bins, ascending; a count beyond them is overflow. The true percentile is at most the result.
-    """
+    """Return the upper edge of the bin with a fraction, (0, 1], of all counts; None: beyond the last edge, or none counted."""
     wanted = math.ceil(fraction * sum(counts) - 1e-9)
     counted = 0
     for edge, count in zip(edges, counts):

@@ -42,10 +42,7 @@ def interpolate(
     before: tuple[int, Pose] | None = None,
     after: tuple[int, Pose] | None = None,
 ) -> Pose:
-    """Interpolate between two poses at their stamps, with regard to their neighbours in time; None at the end of what is known.
-
-    At the stamp of `start` or `end` the pose there is returned as it is.
-    """
+    """Interpolate between two poses at their stamps, with regard to their neighbours in time, None at the end of what is known."""
     # plain tuples, and no records: these are made and unpacked in every cycle of 4 ms
     stamp0, q0 = start
     stamp1, q1 = end

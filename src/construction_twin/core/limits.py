@@ -81,8 +81,7 @@ def distance_off(
 def braking_distance(step: float, deceleration: float) -> float:
     """Return how far braking goes on after a step, which changes by the deceleration, > 0, in each cycle [rad].
 
-    Exact in cycles: the textbook's v^2 / 2a is half a step longer and would refuse to end at the end of a range at full
-    deceleration.
+    Exact: the textbook's v^2 / 2a is half a step longer and would refuse to end at the end of a range at full deceleration.
     """
     cycles = math.floor(step / deceleration)
     return cycles * step - deceleration * cycles * (cycles + 1) / 2

@@ -17,10 +17,7 @@ class LineLimiter:
         self._lines: dict[str, tuple[int, int]] = {}
 
     def admit(self, reason: str, now: int) -> str | None:
-        """Return what to append to a line: "" or how many like it were left out; None: it must not be written.
-
-        `reason`: One of few, never text from outside: every kind is remembered.
-        """
+        """Return what to append to a line, or None: it must not be written. `reason`: one of few, never text from outside."""
         written, left_out = self._lines.get(reason, (now - self._period, 0))
         if now - written < self._period:
             self._lines[reason] = written, left_out + 1

@@ -49,10 +49,7 @@ def _let_sleep() -> None:
 
 
 def lock_memory() -> str:
-    """Keep this process's memory from being paged out once everything is loaded; return one sentence for the log.
-
-    What is allocated later is not locked: where memory that may be locked is limited, that could make an allocation fail.
-    """
+    """Keep what is in this process's memory now from being paged out; return one sentence for the log."""
     if sys.platform != "linux":
         return "memory not locked: this system has no mlockall"
     libc = ctypes.CDLL(None, use_errno=True)

@@ -1,8 +1,4 @@
-"""A frozen dataclass as plain JSON.
-
-Keys are the fields' names; an enumeration is its name, a number that is nan or infinite null; see also `seconds_field` and
-`optional_field`.
-"""
+"""A frozen dataclass as plain JSON: keys are the fields' names; an enumeration is its name, nan and infinite numbers null."""
 
 from __future__ import annotations
 

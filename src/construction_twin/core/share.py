@@ -1,7 +1,4 @@
-"""Where the package's files are that are no modules: ``config``, ``krl``, ``models``, ``msg``, ``urdf``.
-
-In a checkout its root, after ``pip install`` and in a catkin install space ``share/construction_twin``.
-"""
+"""The package's files that are no modules: below a checkout's root, or ``share/construction_twin`` where it is installed."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The largest allowed fraction of the speed, by one source, with a deadline; times in ns on a monotonic clock.
-
-Not safety rated: it slows down so that less often a safety function must stop.
-"""
+"""The largest allowed fraction of the speed, by one source, with a deadline; times in ns, monotonic. Not safety rated."""
 
 from __future__ import annotations
 
@@ -24,9 +21,7 @@ class LimitState(Enum):
 class SpeedLimit:
     """One source's limit, with a deadline [s]: silence asks for `silent`, or less where its last limit was lower.
 
-    Attributes:
-        name, fraction: The last source and its limit; "" and 1 before the first.
-        state, limit, reason: As of the last `update`.
+    `name` and `fraction` are of the last source ("" and 1 before the first), `state`, `limit`, `reason` of the last `update`.
     """
 
     def __init__(self, deadline: float, silent: float = 0.0, required: bool = False):

@@ -1,7 +1,4 @@
-"""How long messages travel, from stamps and times of reception on two clocks [ns].
-
-Only their difference is used, compared with its own smallest value.
-"""
+"""How long messages travel, from stamps and times of reception on two clocks that are never compared [ns]."""
 
 from __future__ import annotations
 
@@ -25,10 +22,7 @@ class TravelTime:
         self._at = 0
 
     def excess(self, stamp: int, received: int) -> int:
-        """Return the excess of a stamp on the sender's clock, received on a monotonic one [ns], without taking it as a reference.
-
-        Negative: quicker than all before it; 0: the first.
-        """
+        """Return the excess of a stamp, received on a monotonic clock [ns], without storing it; negative: quicker than all."""
         if self._shortest is None:
             return 0
         return received - stamp - self._shortest - round((received - self._at) * MAX_DRIFT)

@@ -72,11 +72,7 @@ def last_digit(decimals: int, linear: bool = False) -> float:
 
 
 def format_allowance(decimals: int, linear: bool = False, cycle: float = CYCLE) -> float:
-    """Return what rounding to `decimals` can add to an acceleration measured per cycle (law 3).
-
-    Second differences carry up to 2 * 10^-d deg of rounding: 125 deg/s^2 at 3 decimals, 0.125 at 6; of a prismatic joint mm for
-    deg.
-    """
+    """Return what rounding to `decimals` adds to an acceleration measured per cycle: 125 deg/s^2 at 3, 0.125 at 6 (law 3)."""
     return 2 * last_digit(decimals, linear) / cycle**2
 
 

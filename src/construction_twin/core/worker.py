@@ -1,7 +1,4 @@
-"""Processes that work for another one, so that neither a broken file nor a long search holds it up.
-
-They speak pickles over a private pipe, at a lower priority, and end with their parent.
-"""
+"""Processes, of lower priority, that work for another one: neither a broken file nor a long search holds that up."""
 
 from __future__ import annotations
 

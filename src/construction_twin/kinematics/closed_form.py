@@ -63,7 +63,7 @@ class Branches(NamedTuple):
     """All branches of m targets, ranges not considered. A NamedTuple, because the 250 Hz paths unpack it.
 
     Attributes:
-        q: Shape (m, 8, 6). [rad], order of `SLOTS`; nan where there is no such branch.
+        q: Shape (m, 8, 6). Order of `SLOTS`; nan where there is no such branch.
         wrist: Shape (m, 8). |sin| of the angle between axes 4 and 6.
         extension: Shape (m,). Distance of the wrist centre to the edge of the reach [m], positive inside.
     """
@@ -167,8 +167,8 @@ class ClosedFormInverse(BranchInverse):
     def _solve(self, flange: np.ndarray, seed: JointValues) -> list[tuple[np.ndarray, list[float]]]:
         """Return the branches, shape (8, 6), nan where there is none, and |sin| of each branch's wrist angle.
 
-        The first pair is the target's. Where rounding or a singularity makes branches vanish, further pairs are of targets moved or
-        rotated by less than the tolerance.
+        Pairs behind the first are of targets moved by less than the tolerance, where rounding or a singularity makes branches
+        vanish.
         """
         q, angles, _ = self.branches(flange)
         wrist = angles[0].tolist()
@@ -312,10 +312,7 @@ class ClosedFormInverse(BranchInverse):
         raise NotFoundError(len(SLOTS), 0.0, *self._best_residual(branches[0], pose))
 
     def raise_range_error(self, branches: np.ndarray) -> None:
-        """Raise the error that names the joint out of range, of the branch, shape (m, 6), that is out of range by the least.
-
-        Where joints 1 to 3 of some branch are in range, another orientation could be reached.
-        """
+        """Raise the error of the joint out of range, of the branch, shape (m, 6), that is out of range by the least."""
         q, excess = self.excess(branches)
         excess -= self.settings.tolerance_rad
         placed = excess[:, :3].max(axis=1, initial=-math.inf) <= 0.0

@@ -118,10 +118,7 @@ class NumericInverse(InverseKinematics):
         return bool(values[-1] < _RANK * values[0])
 
     def along_self_motion(self, q: np.ndarray, seed: np.ndarray, pose: Pose) -> np.ndarray:
-        """Move a redundant or singular arm, whose `q` reaches the pose, along its self-motion to the nearest to the seed in range.
-
-        Whether the result reaches the pose is for the caller to check.
-        """
+        """Move a redundant or singular arm along its self-motion towards the seed, in range; the caller checks the result."""
         q = np.clip(q, self.ranges.lower, self.ranges.upper)
         for _ in range(_SELF_MOTIONS):
             error = pose_error(self.chain.forward(q), pose)

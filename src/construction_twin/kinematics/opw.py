@@ -34,8 +34,7 @@ class Margins(NamedTuple):
 class OpwModel:
     """A chain in OPW parameters: ``base_T_tip = base_T_opw * opw_T_flange(theta) * flange_T_tip``, theta = signs q - offsets.
 
-    The OPW base is on axis 1 level with the base link's origin, Z towards axis 2; the flange on axis 6 level with the tip, Z out of
-    it.
+    The OPW base is on axis 1 level with the base link's origin, Z towards axis 2; the flange on axis 6 level with the tip.
     """
 
     a1: float
@@ -75,10 +74,7 @@ class OpwModel:
         return [Margins(self.c2 + forearm - distance, distance - abs(self.c2 - forearm)) for distance in distances]
 
     def outwards(self, x: float, y: float, z: float) -> list[np.ndarray]:
-        """Return for each shoulder, front and back, the unit vector from axis 2 to a wrist centre, shape (3,).
-
-        Undefined for a wrist centre on axis 1, or closer to it than b.
-        """
+        """Return for each shoulder, front and back, the unit vector from axis 2 to a wrist centre off axis 1, shape (3,)."""
         across = math.sqrt(x * x + y * y - self.b**2)
         directions = (
             np.array([x * (1.0 - side * self.a1 / across), y * (1.0 - side * self.a1 / across), z - self.c1])
@@ -88,11 +84,7 @@ class OpwModel:
 
 
 def find_opw(chain: Chain) -> OpwModel | str:
-    """Return the model of a chain of the OPW kind, or why it is not one: part of a sentence.
-
-    Six revolute joints, axes 2 and 3 parallel and perpendicular to 1 and 4, axes 4, 5 and 6 meeting in one point, each
-    perpendicular to the next.
-    """
+    """Return the model of a chain of the OPW kind, or why it is not one: part of a sentence."""
     if any(chain.robot.linear) or len(chain.robot.linear) != 6:
         revolute = chain.robot.linear.count(False)
         return f"it has {revolute} revolute and {len(chain.robot.linear) - revolute} prismatic joints, not six revolute ones"

@@ -246,10 +246,7 @@ class RailInverse(InverseKinematics):
         return every[np.abs(every.imag) < _TANGENT].real
 
     def _rank(self, rows: _Rows, seed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return ranks, shape (r, m), and distances from the seed, shape (7, r, m), with the nearest whole turns in range.
-
-        The lower a rank the better, see `_OUT`; inf: there is no such branch.
-        """
+        """Return ranks (`_OUT`), shape (r, m), and distances from the seed, shape (7, r, m), with the nearest turns in range."""
         middle, half, start = (each[:, None, None] for each in (self._middle, self._half, seed[1:]))
         centre = np.clip(start, middle - self._slack[:, None, None], middle + self._slack[:, None, None])
         joints = rows.joints - TURN * np.rint((rows.joints - centre) * (1.0 / TURN))

@@ -73,10 +73,7 @@ class UnreachableOrientationError(KinematicsError):
 
 
 class NotFoundError(KinematicsError):
-    """No joint solution was found in the time given, which does not prove that there is none.
-
-    `residual_m`, `residual_rad`: of the best attempt within the ranges; inf: none. `hint`: part of a sentence, or "".
-    """
+    """No joint solution was found in time: not a proof that there is none; residuals of the best attempt in range, inf: none."""
 
     def __init__(self, tried: int, budget_s: float, residual_m: float, residual_rad: float, hint: str = ""):
         self.tried, self.budget_s, self.hint = tried, budget_s, hint
@@ -156,7 +153,6 @@ class IkSettings:
 
     Attributes:
         seeds: Most starting points: the given seed, home, then random ones.
-        iterations: Most steps from one starting point.
         budget_s: Time for one target [s]; the first starting point is always tried.
         patience: `nearest` ends after this many solved starting points that brought nothing nearer.
     """
@@ -198,10 +194,7 @@ class Ranges:
         self._each = list(zip(robot.lower, robot.upper, self.turns.tolist()))
 
     def into_range(self, q: np.ndarray, seed: np.ndarray, slack: float) -> np.ndarray:
-        """Return joint values, shape (..., n), with the turns nearest to a seed that are within the ranges, or else nearest to it.
-
-        The seed, shape (n,), is within the ranges; out of range by no more than `slack` counts as within.
-        """
+        """Return joint values, shape (..., n), with the turns nearest to a seed, of those in range, to `slack`, if any are."""
         q = q - self.turns * np.rint((q - seed) * (1.0 / TURN))
         q = np.where((q > self.upper + slack) & (q - self.turns >= self.lower - slack), q - self.turns, q)
         return np.where((q < self.lower - slack) & (q + self.turns <= self.upper + slack), q + self.turns, q)
@@ -269,10 +262,7 @@ class InverseKinematics(abc.ABC):
     def confirmed(
         self, q: JointValues, pose: Pose, seed: JointValues, configuration: Configuration | None = None
     ) -> IkSolution | None:
-        """Return joint values, moved to the end of a range where rounding has them beyond it, as a solution; None: they are none.
-
-        Forward kinematics decides; near misses are improved by Newton steps first.
-        """
+        """Return joint values as a solution, after Newton steps where they almost reach the pose; None: they do not reach it."""
         # plain floats: in closed form the nearest branch takes as long as this
         q = [
             lower if value < lower else upper if value > upper else value
@@ -381,13 +371,9 @@ def refuse_configuration(configuration: Configuration | None) -> None:
         raise BranchError(str(configuration), (), "has no meaning for an arm without a spherical wrist of the OPW kind")
 
 
-def refine(chain: Chain, q: np.ndarray, pose: Pose, steps: int = 8, within: bool = True) -> np.ndarray:
-    """Return joint values, shape (n,), that almost reach a pose, improved by Newton steps, `within` the ranges.
-
-    Whether they reach it is for the caller to check.
-    """
-    endless = np.full(len(q), np.inf)
-    lower, upper = (np.array(chain.robot.lower), np.array(chain.robot.upper)) if within else (-endless, endless)
+def refine(chain: Chain, q: np.ndarray, pose: Pose, steps: int = 8) -> np.ndarray:
+    """Return joint values, shape (n,), moved by Newton steps within the ranges towards a pose; the caller checks the result."""
+    lower, upper = np.array(chain.robot.lower), np.array(chain.robot.upper)
     q = np.clip(q, lower, upper)
     for _ in range(steps):
         error = pose_error(chain.forward(q), pose)

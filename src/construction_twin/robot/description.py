@@ -56,12 +56,7 @@ class Following:
 
 @dataclass(frozen=True)
 class OtherJoint:
-    """A movable joint of the URDF that is not between base and tip.
-
-    Attributes:
-        position: Where it stands [rad], [m]; None: it moves with a joint of the chain, as `following` says.
-        follows: The joint that a mimic joint names, or "".
-    """
+    """A movable joint outside of the chain; `position` None: it moves as `following` says. `follows`: the joint a mimic names."""
 
     name: str
     kind: str
@@ -167,11 +162,7 @@ class _RobotDescription(pydantic.BaseModel):
 
 
 def load_robot(urdf: str, description: Mapping) -> RobotModel:
-    """Build a robot from its URDF text and the mapping of its robot YAML.
-
-    Its joints are the movable ones between `base_link` and `tip_link`: revolute, prismatic, or continuous with the YAML's
-    `range_deg`.
-    """
+    """Build a robot, the movable joints from `base_link` to `tip_link`, from its URDF text and the mapping of its robot YAML."""
     parsed = _validate(_RobotDescription, dict(description), "robot")
     model = parse_urdf(urdf)
     joints = [joint for joint in chain_joints(model, parsed.base_link, parsed.tip_link) if joint.joint_type != "fixed"]

@@ -19,10 +19,7 @@ _NORM_TOLERANCE = 1e-3
 
 
 def rotation_to_abc(rotation) -> tuple[float, float, float]:
-    """Convert a rotation, read by ``[row, column]``, to KUKA's A, B, C [rad]; B in [-pi/2, pi/2].
-
-    At B = +-90 deg, where only A - C (or A + C) is defined, A is 0.
-    """
+    """Convert a rotation, read by ``[row, column]``, to KUKA's A, B, C [rad]; B in [-pi/2, pi/2], at both ends A is 0."""
     r = rotation
     cos_b = math.hypot(r[0, 0], r[1, 0])
     a = math.atan2(r[1, 0], r[0, 0]) if cos_b > _GIMBAL else 0.0

@@ -35,10 +35,7 @@ def robot_name(urdf: str) -> str:
 
 
 def find_ends(urdf: str, base_link: str = "", tip_link: str = "") -> tuple[str, str]:
-    """Return the ends of an arm's chain, where none is given ``tool0``, and ``base_link`` if the tip descends from it.
-
-    Else it begins at the URDF's root (after a root called ``world``).
-    """
+    """Return the ends of an arm's chain: by default ``tool0``, and ``base_link`` above it or the URDF's root (after ``world``)."""
     model = parse_urdf(urdf)
     tip_link = tip_link or "tool0"
     if tip_link not in model.link_map:
@@ -66,10 +63,7 @@ def _path(model: URDF, link: str) -> list[str]:
 
 
 def new_description(urdf: str, name: str, base_link: str, tip_link: str, full_speed_in: float) -> dict[str, Any]:
-    """Return the mapping of a robot YAML, with home in the middle of every range: an estimate, where the arm may touch itself.
-
-    Every joint's acceleration is the one that reaches its full speed in the time given [s].
-    """
+    """Return the mapping of a robot YAML: home in the middle of every range, full speed in the time given [s]."""
     joints = [joint for joint in chain_joints(parse_urdf(urdf), base_link, tip_link) if joint.joint_type != "fixed"]
     if not 0 < len(joints) <= _MOST:
         raise ConfigurationError("tip link", tip_link, f"a link that 1 to {_MOST} joints move; {len(joints)} do")
@@ -94,10 +88,7 @@ def robot_of_urdf(
 
 
 def rsi_axes(linear: Sequence[bool]) -> list[str]:
-    """Return the RSI axis of each joint of a chain.
-
-    Prismatic joints before the first revolute one are tracks, E1 on; the others A1 to A6 in their order, what is more E again.
-    """
+    """Return the RSI axis of each joint: prismatic ones before the first revolute one E1 on, then A1 to A6, then E again."""
     tracks = next((index for index, prismatic in enumerate(linear) if not prismatic), 0)
     external = iter(f"E{number}" for number in range(1, _MOST))
     own = range(-tracks, len(linear) - tracks)

@@ -15,10 +15,9 @@ BY_ACTION = "follow_joint_trajectory from"
 
 @dataclass(frozen=True)
 class Clearance:
-    """Smallest distance between two bodies that must not touch [m], and when on a trajectory it occurs [s].
+    """Smallest distance between two bodies that must not touch [m], inf: none, and when on a trajectory it occurs [s].
 
-    Negative: the penetration depth; inf: nothing to touch. `point` is the nearest one on the first of `between`, a link of the
-    robot.
+    `point` is the nearest one on the first of `between`, a link of the robot; a negative distance is the penetration depth.
     """
 
     distance: float

@@ -1,7 +1,4 @@
-"""Segments of a plan, one after the other on one trajectory, which rests between them.
-
-At the end of each the tool is switched and the scene changes as planned. Times in s from the start of the trajectory.
-"""
+"""Segments of a plan on one trajectory, which rests between them for the tool and the scene; times in s from its start."""
 
 from __future__ import annotations
 

@@ -50,10 +50,7 @@ class Cups(_Strict):
 
 
 class Output(_Strict):
-    """One output of the tool; `on_stop`: what becomes of it when RSI ends or a reply is missed.
-
-    `opens` is the value that lets go of a workpiece; None: neither does.
-    """
+    """One output: `on_stop`: what becomes of it when RSI ends or a reply is missed; `opens`: the value that lets a workpiece go."""
 
     on_stop: Literal["keep", "off"]
     opens: bool | None = None

@@ -1,7 +1,4 @@
-"""Timed joint motions: waypoints with position, velocity and acceleration, joined by quintic segments.
-
-Joint vectors in the order of `Trajectory.joint_names`, SI; times in s from the start of the motion.
-"""
+"""Timed joint motions: waypoints with position, velocity and acceleration, SI, joined by quintic segments."""
 
 from __future__ import annotations
 

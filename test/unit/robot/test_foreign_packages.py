@@ -16,9 +16,9 @@ from construction_twin.kinematics.chain import Chain
 from construction_twin.robot.description import read_robot_files
 from construction_twin.robot.packages import Packages
 from construction_twin.robot.urdf import expand_xacro, xacro_arguments
+from construction_twin.ros.nodes.scene import lasting_contacts
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld, Contact
-from construction_twin.scene.lasting_contacts import lasting_contacts
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.self_collision import SelfCollision
 

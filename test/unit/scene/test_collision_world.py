@@ -170,30 +170,6 @@ def test_objects_that_do_not_fit_the_robot_are_refused(item):
     assert caught.value.value in {"gripper", "link_9", "link_3"}
 
 
-def test_attach_and_detach_keep_the_object_where_it_is():
-    chain = Chain(kr120())
-    base_T_tool = chain.forward(HOME)
-    beam = SceneObject("beam", "box", (0.1, 0.1, 0.5), tuple(base_T_tool.position - [0.0, 0.0, 0.4]))
-    tool_T_beam = Pose(
-        base_T_tool.rotation.T @ (np.array(beam.position) - base_T_tool.position),
-        base_T_tool.rotation.T @ beam.pose.rotation,
-    )
-    standing = world(FLOOR, beam)
-    carried = standing.with_scene(standing.scene.attach("beam", "tool0", tool_T_beam))
-    assert standing.clearance(HOME).distance == pytest.approx(min(pair.distance for pair in standing.distances(HOME)))
-    second = {pair.between: pair.distance for pair in carried.distances(HOME)}
-    assert second["beam", "floor"] == pytest.approx(beam.position[2] - 0.25, abs=1e-9)
-
-
-def test_a_world_with_another_scene_is_a_new_one():
-    one = world(FLOOR)
-    other = one.with_scene(clutter())
-    assert (one.scene.names, other.scene.hash) == (("floor",), clutter().hash)
-    poses = random_poses(kr120(), 50)
-    anew = CollisionWorld(kr120(), clutter(), kr120_pairs())
-    assert [other.is_free(q) for q in poses] == [anew.is_free(q) for q in poses]
-
-
 def test_all_free_names_the_first_row_in_contact():
     checked = CollisionWorld(kr120(), clutter(), kr120_pairs())
     poses = random_poses(kr120(), 200)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 from scene_samples import FLOOR, ROOT, kr120, kr120_pairs, track7, track7_pairs, ur_like, ur_like_pairs
 
+from construction_twin.ros.nodes.scene import POSES, lasting_contacts
 from construction_twin.scene.collision_world import CollisionWorld
-from construction_twin.scene.lasting_contacts import POSES, lasting_contacts
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_yaml import read_scene
 

@@ -1,4 +1,4 @@
-"""scene.edits: what a scene node keeps of its edits, and when it must not go on with it."""
+"""The scene's file: what a scene node keeps of its edits, and when it must not go on with it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scene_samples import FLOOR, box_triangles, clutter, write_stl
 
 from construction_twin.robot.motion_errors import SceneError
-from construction_twin.scene.edits import SceneFile
+from construction_twin.ros.nodes.scene import SceneFile
 from construction_twin.scene.objects import Scene, SceneObject
 
 START = Scene((FLOOR,), 0.02)

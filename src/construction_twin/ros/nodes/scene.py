@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import re
 import threading
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
 
+import numpy as np
+import pydantic
 import rosgraph
 import rospy
 from visualization_msgs.msg import MarkerArray
@@ -14,6 +19,8 @@ from visualization_msgs.msg import MarkerArray
 from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
 from construction_twin.core.extensions import ExtensionAbsent, import_extension
+from construction_twin.core.files import read_file, write_atomically
+from construction_twin.core.validation import wrong_value
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.ros.messages.convert import pose_from_msg
@@ -26,8 +33,6 @@ from construction_twin.ros.shared.params import PrivateSettings, ros_home
 from construction_twin.ros.transport.publisher import AnyPublisher
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld
-from construction_twin.scene.edits import SceneFile
-from construction_twin.scene.lasting_contacts import lasting_contacts
 from construction_twin.scene.objects import Scene, SceneObject, product, relative
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.scene.scene_yaml import read_scene
@@ -41,6 +46,138 @@ CHECK_PERIOD = 0.2
 PLANNING_SCENE = shell.Publication("planning_scene", "moveit_msgs/PlanningScene", queue_size=50, latch=True)
 #: roslaunch's id of this run.
 _RUN = "/run_id"
+
+
+#: Largest file [bytes]: tens of thousands of objects.
+_LARGEST = 32 * 2**20
+
+
+class _File(pydantic.BaseModel):
+    """The scene after the last edit of one run that began with one scene."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    run: Annotated[str, pydantic.Field(min_length=1)]
+    start: str
+    hash: str
+    padding: float
+    objects: tuple[dict[str, Any], ...]
+
+
+_OBJECTS = pydantic.TypeAdapter(tuple[SceneObject, ...])
+
+
+@dataclass(frozen=True)
+class SceneFile:
+    """The file of one run's edits of the scene that it began with; that of another run is ignored."""
+
+    path: Path
+    run: str
+    start: Scene
+
+    def load(self) -> Scene:
+        """Return the scene after the last edit of this run; the start if there was none."""
+        try:
+            contents = read_file(self.path, _LARGEST)
+        except FileNotFoundError:
+            return self.start
+        except OSError as error:
+            raise self._wrong(str(error.strerror), "a file that can be read") from error
+        try:
+            found = _File.model_validate_json(contents)
+        except pydantic.ValidationError as error:
+            wrong = wrong_value(error, _File.model_json_schema())
+            expected = f"a scene as the scene node writes it: {wrong.expected}"
+            raise self._wrong(f"{wrong.key}: {wrong.value!r:.200}", expected) from error
+        if found.run != self.run:
+            return self.start
+        if found.start != self.start.hash:
+            expected = f"edits of {self.start.hash[:12]}, the one given now"
+            raise self._wrong(f"edits of a scene that began as {found.start[:12]}", expected)
+        try:
+            scene = Scene(_OBJECTS.validate_python(found.objects), found.padding)
+        except (SceneError, pydantic.ValidationError) as error:
+            raise self._wrong(str(error), "objects that can be used") from error
+        if scene.hash != found.hash:
+            raise self._wrong(f"contents with the hash {scene.hash[:12]}", f"{found.hash[:12]}, which it names")
+        return scene
+
+    def save(self, scene: Scene) -> None:
+        """Write the scene, as a whole or not at all."""
+        contents = {"run": self.run, "start": self.start.hash, "hash": scene.hash, "padding": scene.padding}
+        contents["objects"] = _OBJECTS.dump_python(scene.objects, mode="json")
+        try:
+            write_atomically(self.path, json.dumps(contents, indent=1) + "\n")
+        except OSError as error:
+            expected = "a file that can be written: an edit that would not survive a restart is refused"
+            raise SceneError(str(self.path), error.strerror, expected) from error
+
+    def _wrong(self, found: str, expected: str) -> SceneError:
+        to_do = f"{expected}; look at the scene, move the file away and start again: the scene then begins as given"
+        return SceneError(f"the scene's edits in {self.path}", found, to_do)
+
+
+#: A base that overlaps an object by less than this stands on it [m].
+STANDS_ON = 1e-3
+#: Random poses, besides home, in all of which a link must touch an object.
+POSES = 100
+
+
+@dataclass(frozen=True)
+class LastingContact:
+    """An object that stands in the world, and a link that touches it whatever the joints do.
+
+    `distance` at home and `margin` of a moving link [m]; a base, which no joint `moves`, is not checked.
+    """
+
+    name: str
+    link: str
+    distance: float
+    margin: float
+    moves: bool
+
+    @property
+    def sentence(self) -> str:
+        """What it is, what follows from it, and what to do."""
+        if not self.moves:
+            return (
+                f"object {self.name!r} and link {self.link!r} overlap by {-self.distance * 1e3:.1f} mm; no "
+                "joint moves the link, so this is not checked. If they do not overlap in the cell, correct "
+                f"the object's position or size, or raise the arm; if they do, add `touch: [{self.link}]` to "
+                "the object"
+            )
+        found = f"{'overlap' if self.distance < 0.0 else 'are apart'} by {abs(self.distance) * 1e3:.1f} mm"
+        return (
+            f"object {self.name!r} and link {self.link!r} {found}, expected {self.margin * 1e3:.1f} mm of clearance, in every pose "
+            "of the arm: nothing can be planned. Move the object, raise the arm or lower `padding`; if they may touch, add "
+            f"`touch: [{self.link}]` to the object"
+        )
+
+
+def lasting_contacts(world: CollisionWorld) -> list[LastingContact]:
+    """Return the contacts of a world that no motion ends, those of the base first.
+
+    A pair of which the object names the link in `touch` is meant, and not among them.
+    """
+    found = [
+        LastingContact(item.name, link, distance, 0.0, False)
+        for item, link in world.unchecked_pairs()
+        if (distance := world.distance(world.robot.home, link, item.name)) < -STANDS_ON
+    ]
+    standing = {item.name: item for item in world.scene.objects if not item.link}
+    names = set(world.scene.names)
+    touching = (contact.between for contact in world.contacts(world.robot.home))
+    pairs = [(first, second) for first, second in touching if first not in names and second in standing]
+    poses = np.random.default_rng(0).uniform(world.robot.lower, world.robot.upper, (POSES, len(world.robot.home)))
+    for q in poses:
+        if not pairs:
+            break
+        still = {contact.between for contact in world.contacts(q)}
+        pairs = [pair for pair in pairs if pair in still]
+    for link, name in pairs:
+        margin = world.scene.padding + standing[name].padding
+        found.append(LastingContact(name, link, world.distance(world.robot.home, link, name), margin, True))
+    return found
 
 
 class Settings(PrivateSettings):
