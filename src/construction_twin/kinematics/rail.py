@@ -341,7 +341,7 @@ def _promising(
         chosen |= fast | (inside[:, 1:] != inside[:, :-1])
     bends = rows.wrist < _BENT
     singular: list[float] = []
-    turns_over = None
+    turns_over: np.ndarray | None = None
     if bends.any():
         bends &= _minima(np.fmin(rows.wrist, math.inf))
         singular = rows.positions[bends & (rows.wrist <= _SINGULAR)].tolist()

@@ -60,7 +60,7 @@ def shortened(path: np.ndarray, is_free: Callable[[np.ndarray, np.ndarray], bool
 
     Nothing is drawn by chance. Every edge is a part of a given one, which are free, or was found free by `is_free`.
     """
-    points, blocked = _divided(path), set()
+    points, blocked = _divided(path), set[bytes]()
     while True:
         gains, length = _gains(points)
         firsts, lasts = np.nonzero(gains >= WORTHWHILE * length)
