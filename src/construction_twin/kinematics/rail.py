@@ -269,11 +269,11 @@ class RailInverse(InverseKinematics):
         while True:
             rank, away = self._rank(rows, seed)
             lowest = rank.argmin(axis=1)
-            for row, (column, slot) in enumerate(zip(lowest.tolist(), rows.slots.tolist())):
-                value = float(rank[row, column])
+            for number, (column, slot) in enumerate(zip(lowest.tolist(), rows.slots.tolist())):
+                value = float(rank[number, column])
                 if value < min(best[slot], _OUT):
                     best[slot] = value
-                    found.append(_Candidate(value, slot, seed + away[:, row, column]))
+                    found.append(_Candidate(value, slot, seed + away[:, number, column]))
             if one:
                 best[:] = best.min()
             row, at, flips = _promising(rows, rank, away, best[rows.slots], coarse)

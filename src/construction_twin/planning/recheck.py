@@ -24,9 +24,8 @@ class CollisionError(PlanningError):
     """Two bodies that must not touch do: `between` a link or carried object and a link or object, at `time` in a motion [s]."""
 
     def __init__(self, between: tuple[str, str], where: str, time: float | None = None):
-        self.between = tuple(between)
+        first, second = self.between = between
         self.where, self.time = where, time
-        first, second = between
         super().__init__(self._sentence(first=first, second=second, where=where))
 
     def _sentence(self, **values: str) -> Sentence:
