@@ -110,7 +110,6 @@ class WorkJob:
         base_T_goal: ``base_T_element`` at its place, or as built where it stands.
         supports: Scene objects that it may touch in stock and at its place.
         up: Against gravity, a unit vector in the base.
-        task_properties: Of the task's own `CTwin_RobotTask`.
     """
 
     task: str
@@ -137,7 +136,6 @@ class TaskMotions:
     Attributes:
         method: How its process does it: of `place` the grip.
         scenes: One more than segments: of each, and the one after the last.
-        planning_time: [s]
         clearance: Smallest, without what is approached on purpose [m].
         tool0_T_element: None: the element is not moved.
     """

@@ -16,8 +16,8 @@ from construction_twin.scene.scene_change import SceneChange
 
 #: Verdicts that are remembered.
 _MOST_VERDICTS = 100
-#: Work plans and scenes that are remembered for an arm that is left engaged.
-_MOST_PLANS, _MOST_SCENES = 4, 12
+#: Work plans that are remembered for an arm that is left engaged.
+_MOST_PLANS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,12 +40,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class GripReading:
-    """What the tool says of its grip.
-
-    Attributes:
-        closed: An output commands it to hold, or an input says that it does.
-        commanded: The outputs that command it to hold.
-    """
+    """What the tool says of its grip; `closed`: an output commands it to hold (`commanded`), or an input says that it does."""
 
     known: bool
     closed: bool
@@ -67,13 +62,8 @@ def grip_of(tool: Tool, outputs: Mapping[str, bool], inputs: Mapping[str, bool])
 class Received:
     """The newest message of each kind, for any thread.
 
-    Args:
-        publishers: Returns how many nodes publish ``execution``, ``plan`` or ``tool``.
-        ends: Returns whether this process ends: waits end then.
-        review_file: The executor's record of verdicts.
-
-    Attributes:
-        engagement: None: unknown.
+    `publishers`: Returns how many nodes publish a topic. `ends`: Returns whether this process ends. `review_file`: The executor's
+    record of verdicts. None as a message: unknown.
     """
 
     def __init__(self, publishers: Callable[[str], int], ends: Callable[[], bool], review_file: Path):
@@ -88,9 +78,8 @@ class Received:
         self.tool: ToolReport | None = None
         #: The planner that published the plan is still there, and gives it to an executor that starts anew.
         self._plan_offered = False
-        #: The newest first. Of scenes and plans an engaged arm's scene is made.
+        #: The newest first.
         self._verdicts: list[Verdict] = []
-        self._scenes: list[Scene] = []
         self._work_plans: list[KnownPlan] = []
 
     def on_message(
@@ -109,7 +98,6 @@ class Received:
                     self._verdicts = [message, *self._verdicts][:_MOST_VERDICTS]
                 case Scene():
                     self.scene = message
-                    self._scenes = [message, *(one for one in self._scenes if one.hash != message.hash)][:_MOST_SCENES]
                 case KnownPlan():
                     self.plan, self._plan_offered = message, True
                     # a way back changes nothing, and may be planned again and again
@@ -167,10 +155,6 @@ class Received:
     def work_plan(self, plan_id: str) -> KnownPlan | None:
         """Return one of the last work plans that change the scene; None: unknown."""
         return next((one for one in self._work_plans if one.plan.id == plan_id), None)
-
-    def scenes(self) -> list[Scene]:
-        """Return the scenes received last, the newest first."""
-        return self._scenes
 
     def verdict(self, plan_id: str) -> Verdict | None:
         """Return the verdict on a plan; None: none was received."""

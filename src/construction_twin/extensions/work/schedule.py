@@ -1,16 +1,8 @@
 """The order of a building model's tasks: which jobs there are for an arm, what each waits for, and what may start now.
 
-In: the tasks and sequences of a `BuildingModel`. Out: jobs in an order that can be built, or one sentence with the ids of what
-makes no sense. Times are arguments, in seconds of any one clock. Plans nothing and remembers nothing.
-
-A job is one element that a task without subtasks makes or works on; one element can have several: it is placed once, and what
-works on it where it stands waits for that. A sequence of a nesting task holds for all that it nests: with ``START_START``
-everything in the first must have started before anything in the second may. An arm cannot end a placing later than it is done, so
-what the end of a job waits for (``FINISH_FINISH``, ``START_FINISH``), its start waits for here. A task without product passes
-order and lags on and takes no time, and so does one that is completed.
-
-A removal is one element that a task takes down, or that is to be taken down without a task. It is no job: people do it, and the
-element stands until one of them says that it is gone; what comes after it waits for that.
+A job is one element that a task without subtasks makes or works on; it is placed before anything works on it. An arm cannot end a
+placing later than it is done, so what the end of a job waits for (``FINISH_FINISH``, ``START_FINISH``), its start waits for here. A
+removal is one element that people take down. Times are arguments, in seconds of any one clock.
 """
 
 from __future__ import annotations
@@ -36,12 +28,7 @@ ProcessOf = Callable[[Element, Task], str]
 
 @dataclass(frozen=True)
 class Wait:
-    """What a job waits for.
-
-    Attributes:
-        finished: It must be finished; else it must have started.
-        lag: Time that must have passed since [s], at least 0.
-    """
+    """What a job waits for: another one's end (`finished`) or start, and a `lag` since then [s]."""
 
     job: str
     finished: bool
@@ -54,10 +41,8 @@ class Job:
 
     Attributes:
         id: The task's GlobalId; of a task that makes several elements: with ``/1``, ``/2``, ... behind it.
-        task, name, element: GlobalId and name of the task, GlobalId of the element. Where several jobs share the name, the
-            element's stands behind it: ``Panel up: stud 3``.
-        robots: Who may do it, the task's own or else those of the tasks it nests in; empty: any.
-        after: Empty: it may start at once.
+        name: Where several jobs share the task's, the element's stands behind it: ``Panel up: stud 3``.
+        robots: Who may do it; empty: any.
     """
 
     id: str
@@ -79,10 +64,8 @@ class Schedule:
     """A checked graph of jobs, made by `Schedule.of`.
 
     Attributes:
-        jobs: In an order in which they can be done one after the other: as the tasks are scheduled if all say when, else as in the
-            file.
-        notes: One sentence, with ids, for each thing that was understood in a way the user should know.
-        proposed: It is not the planner's but a proposal from the geometry, which a person must accept; or a part of it is.
+        jobs: In an order in which they can be done: as the tasks are scheduled if all say when, else as in the file.
+        proposed: It, or a part of it, is a proposal from the geometry, which a person must accept.
         removals: Elements that people take down; what each waits for is in `after`.
     """
 
@@ -130,9 +113,7 @@ class Schedule:
     ) -> str:
         """Return the first thing that a job still waits for: ``after 'Place stud 1' (2xF...) has finished``; empty: it may start.
 
-        Args:
-            started, finished: When [s], by job id; a job that is finished need not be in `started`.
-            now: [s]
+        `started`, `finished`: When [s], by job id; a job that is finished need not be in `started`.
         """
         for wait in self.job(identifier).after:
             since = finished.get(wait.job) if wait.finished else started.get(wait.job, finished.get(wait.job))
@@ -334,30 +315,26 @@ class _Reading:
         return tuple(dict.fromkeys(found))
 
     def _of_assembly(self, identifier: str, element: str) -> list[str]:
-        """Return the workpieces of what has no body but parts or members that no other task makes, as proposed."""
+        """Return the workpieces of what has parts in place of a body, without those of other tasks, as proposed."""
         model, parts = self._model, set(parts_of(self._elements, element))
-        # also the parts of an assembly within this one that has a task of its own, done or not
-        elsewhere: set[str] = set()
-        earlier = True
-        for name, task in self._tasks.items():
-            earlier = earlier and name != identifier
-            for one in task.products if name != identifier and task.kind == "makes" else ():
-                if one not in model.elements or not self._moves(name, one):
-                    continue
-                theirs = set(parts_of(self._elements, one))
-                # of groups with something in common the smaller one has it, else the first
-                if one in parts or (theirs & parts and (theirs < parts or (earlier and not theirs > parts))):
-                    elsewhere |= {one, *theirs}
-        wanted = [one for one in workpieces(model) if one in parts - elsewhere]
-        sentence = "nothing that is in it is left for this task"
+        others = [
+            one
+            for name, task in self._tasks.items()
+            for one in (task.products if name != identifier and task.kind == "makes" else ())
+            if one in parts and self._moves(name, one)
+        ]
+        wanted = [one for one in workpieces(model) if one in parts - self._with_parts(others).keys()]
         if wanted:
             alone = replace(model, elements={one: model.elements[one] for one in wanted}, tasks={}, sequences=())
             wanted = [one for part in propose(alone).tasks.values() for one in part.products]
             self.guessed = self.guessed or len(wanted) > 1
-            order = "one after the other, in an order from the geometry that a person must accept"
-            sentence = f"what is in it is placed {order}: {first_few(wanted)}"
-        assembly = f"Task {identifier} makes {model.elements[element].name or element}, which has no body of its own"
-        self.notes.append(f"{assembly}: {sentence}.")
+        made = f"Task {identifier} makes {model.elements[element].name or element}, which has no body of its own"
+        order = (
+            f"its parts in an order that a person must accept: {first_few(wanted)}"
+            if wanted
+            else "nothing is left of it"
+        )
+        self.notes.append(f"{made}: {order}.")
         return wanted
 
     def _without_temporary(

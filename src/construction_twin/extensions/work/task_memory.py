@@ -217,17 +217,14 @@ class Entry:
 
     Attributes:
         event: Value of a `TaskEvent`, or one of `OF_NO_TASK`.
-        task, element: GlobalIds.
         body: Digest of the element's pieces (`Ledger.save_bodies`), by which it stands without its model.
         seen: `ModelElement.digest` when it was handled; `NOT_IN_MODEL`.
         former: Of `same`, `found` and `unknown`: the task that handled the element before.
         source: Of `released` and `same`: `MEASURED` or `PLANNED`.
         offer: Stands in the plan's `source`, by which a plan without known id is found.
-        grip: `TaskMotions.method`.
         process: Of `offered`; empty: `process.DEFAULT`.
         pose, goal: Length 7 or 0. How the element is held (`offered`), where it stands (others); where the model had it.
         model, schedule: SHA-256.
-        time_ns: Since 1970 [ns].
     """
 
     event: str
@@ -298,11 +295,9 @@ class TaskMemory:
 
     Attributes:
         before: The state that a question is about.
-        grip: Stays with the element.
         gone: Neither in stock nor placed; of a task that is done: taken down.
         tool0_T_element, base_T_element: Length 7 or 0: position [m], quaternion x, y, z, w. How it is held, or will be; where it
             stands as built. Empty: unknown.
-        measured: Who measured where it stands.
         as_planned: `base_T_element` is the plan's: nothing was measured.
         begun_ns, settled_ns: Of the last time, since 1970 [ns]; 0: not yet.
     """

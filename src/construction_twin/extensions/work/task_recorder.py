@@ -11,8 +11,10 @@ from dataclasses import dataclass
 
 from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.core.reports import EngagementReport, ExecutionReport
-from construction_twin.extensions.work import decisions, engaged_scene
+from construction_twin.core.sentences import Sentence
+from construction_twin.extensions.work import decisions
 from construction_twin.extensions.work.as_built import as_built, pose_of_tuple, pose_tuple
+from construction_twin.extensions.work.names import first_few
 from construction_twin.extensions.work.received_messages import GripReading, KnownPlan, Received
 from construction_twin.extensions.work.task_board import TaskBoard
 from construction_twin.extensions.work.task_memory import (
@@ -26,8 +28,10 @@ from construction_twin.extensions.work.task_memory import (
 )
 from construction_twin.kinematics.chain import Chain
 from construction_twin.review.record import PlanRecord
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.segments import Segment
 from construction_twin.robot.tool import Tool
+from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.scene_change import SceneChange
 
 #: Outcome of a plan that reached its end.
@@ -236,7 +240,7 @@ class TaskRecorder:
         mine = report.plan_id == plan.id
         # after a restart of the executor only the segment's name is known
         number = report.segment if mine else numbers[0] if len(numbers) == 1 else -1
-        confirmed = 0 <= number < len(plan.segments) and engaged_scene.switches_confirmed(left, plan.segments[number])
+        confirmed = 0 <= number < len(plan.segments) and switches_confirmed(left, plan.segments[number])
         # only there the arm still stands as it let go
         stands, outcome = mine and (confirmed or report.at_boundary), (report.outcome if mine else "") or "stopped"
         ended = ExecutionReport("", left.reason, plan.id, outcome, segment=number, at_boundary=stands)
@@ -324,3 +328,50 @@ class TaskRecorder:
             who, why = verdict.reviewer, verdict.reason
             self._board.add(Entry("dropped", memory.task, plan=memory.plan, reason=f"{who}: {why}"))
             self._board.failures[memory.task] = f"its plan was turned down by {who}: {why}"
+
+
+# -- the scene in which an engaged arm goes back
+
+
+def restoring_change(
+    left: EngagementReport,
+    scene: Scene,
+    segments: Sequence[Segment],
+    changes: Sequence[SceneChange],
+    element: str = "",
+    forms: Sequence[tuple[SceneObject, ...]] = (),
+) -> SceneChange | str:
+    """Return the change after which an engaged arm can go back, or why none is known.
+
+    Args:
+        segments, changes: Of the plan that ended inside; empty: unknown.
+        forms: Objects of the element as the record can have them.
+    """
+    tried = [change for segment, change in zip(segments, changes) if segment.scene_after in left.scenes]
+    there = tuple(name for name in scene.names if element and name.startswith(f"{element}/"))
+    for form in forms if element else ():
+        # replaced one by one, other objects keep leave to touch them
+        gone = tuple(name for name in there if name not in {item.name for item in form})
+        tried += [SceneChange(form, there), SceneChange(form, gone)]
+    for change in tried:
+        try:
+            made = change.apply(scene)
+        except SceneError:
+            continue  # it removes what is not there
+        if made.hash in left.scenes:
+            return change
+    return Sentence(
+        "the arm was left in engaged segment {segment} of plan {plan}; no change of the work's objects makes the present scene "
+        "{scene} the one in which it may go back ({scenes}): look at what hangs on the tool, undo what was changed in the scene "
+        "since (beside the work it has {others}), or free the arm by hand and call release_engagement",
+        segment=repr(left.segment),
+        plan=left.plan_id,
+        scene=scene.hash[:12],
+        scenes=" or ".join(each[:12] for each in left.scenes) or "none is known",
+        others=first_few(name for name in scene.names if "/" not in name),
+    )
+
+
+def switches_confirmed(left: EngagementReport, segment: Segment) -> bool:
+    """Return whether an engagement confirms the switches at a segment's end."""
+    return segment.scene_after != segment.scene and set(left.scenes) == {segment.scene_after}

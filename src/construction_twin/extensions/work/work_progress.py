@@ -15,7 +15,7 @@ from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.reports import ExecutionReport, WorkReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.worker import WorkerError
-from construction_twin.extensions.work import decisions, engaged_scene
+from construction_twin.extensions.work import decisions
 from construction_twin.extensions.work.as_built import Deviation, pose_tuple, scene_change
 from construction_twin.extensions.work.errors import WorkError
 from construction_twin.extensions.work.ledger import Ledger
@@ -24,7 +24,7 @@ from construction_twin.extensions.work.process import DEFAULT, TaskMotions
 from construction_twin.extensions.work.received_messages import Received
 from construction_twin.extensions.work.task_board import TaskBoard, WorkRefused
 from construction_twin.extensions.work.task_memory import UNDER_WAY, Entry, TaskState
-from construction_twin.extensions.work.task_recorder import TaskRecorder
+from construction_twin.extensions.work.task_recorder import TaskRecorder, restoring_change
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import RobotModel
@@ -194,7 +194,7 @@ class WorkProgress:
                 return self._blocked
             element = board.element_of(left.task) if memory is not None else ""
             forms = board.built.forms(left.task) if memory is not None else ()
-            found = engaged_scene.restoring_change(left, scene, segments, changes, received.scenes(), element, forms)
+            found = restoring_change(left, scene, segments, changes, element, forms)
         if isinstance(found, str):
             self._blocked, self._blocked_in = found, about
             self._services.refuse("engagement", found)

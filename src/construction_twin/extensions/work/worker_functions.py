@@ -51,11 +51,9 @@ class CheckedTask:
     Attributes:
         grip: `TaskMotions.method`, or the one that came furthest; empty: none.
         track: First linear joint where the process acts at the element's place [m].
-        clearance: [m]
         duration: Of all motions [s], without the waiting for the tool.
-        planning: [s]
         stage, reason: What was not possible, and why.
-        path: Of the tool's centre point in the base, length 3 each [m].
+        path: Of the tool's centre point in the base [m].
     """
 
     number: int

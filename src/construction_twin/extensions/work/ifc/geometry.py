@@ -101,14 +101,14 @@ def shapes(
     openings: Mapping[int, Sequence[_Entity]],
     unit: float,
     notes: Notes,
-    read_log: Callable[[_Entity], None],
+    read_log: Callable[[_Entity], bool],
 ) -> Iterator[Shape]:
     """Make the bodies of products; one of which nothing is made has none, and is doubted.
 
     Args:
         openings: What is cut from a product, by its id.
         unit: Metres per length unit.
-        read_log: Called with a product when the kernel has made what it can of it.
+        read_log: Called with a product when the kernel has made what it can of it; returns whether it reported anything.
     """
     every_opening = [each for of_product in openings.values() for each in of_product]
     cuts = {each.id(): body for each in every_opening if (body := body_of(each)) is not None}
@@ -116,11 +116,26 @@ def shapes(
     for representation in (*bodies.values(), *cuts.values()):
         _count(name, representation, counts)
     holes = {shape.id: shape for shape in _kernel_shapes(file, name, cuts, read_log)}
+    # 4,000 copies of one mapped body take 11 s when the kernel makes each of them
+    first: dict[tuple[object, ...], int] = {}
+    copies: dict[int, list[int]] = {}
+    for number, representation in bodies.items():
+        mapping = () if openings.get(number) else _mapping(file.by_id(number), representation)
+        if mapping and first.setdefault(mapping, number) != number:
+            copies.setdefault(first[mapping], []).append(number)
+    copied = {number for numbers in copies.values() for number in numbers}
     missing = dict(bodies)
-    for shape in _kernel_shapes(file, name, bodies, read_log):
-        items = list(_resolved(missing.pop(shape.id)))
-        own_openings = [each.id() for each in openings.get(shape.id, ()) if each.id() in cuts]
-        yield _shape(shape, items, own_openings, holes, file.by_id(shape.id).GlobalId, notes)
+    for of_copies in (False, True):
+        left = {number: body for number, body in missing.items() if (number in copied) == of_copies}
+        for shape in _kernel_shapes(file, name, left, read_log):
+            items = list(_resolved(missing.pop(shape.id)))
+            own_openings = [each.id() for each in openings.get(shape.id, ()) if each.id() in cuts]
+            made = _shape(shape, items, own_openings, holes, file.by_id(shape.id).GlobalId, notes)
+            yield made
+            # what the kernel reports of one it reports of each
+            for number in () if shape.reported else copies.get(shape.id, ()):
+                del missing[number]
+                yield replace(made, id=number, model_T_shape=None)
     for number, representation in missing.items():
         # one of lines alone has nothing to touch
         if any(each.is_a(kind) for each in file.traverse(representation) for kind in _SURFACES):
@@ -137,21 +152,24 @@ class _KernelShape:
     triangles: np.ndarray
     owners: np.ndarray
     matrix: np.ndarray
+    reported: bool
 
 
 def _kernel_shapes(
-    file: ifcopenshell.file, name: str, bodies: Mapping[int, _Entity], read_log: Callable[[_Entity], None]
+    file: ifcopenshell.file, name: str, bodies: Mapping[int, _Entity], read_log: Callable[[_Entity], bool]
 ) -> Iterator[_KernelShape]:
     """Yield the kernel's shapes of representations that have triangles, openings still filled."""
     total = 0
     for number, representation in bodies.items():
         product = file.by_id(number)
+        shape: Any = None
         try:
-            shape: Any = ifcopenshell.geom.create_shape(_SETTINGS, product, representation)
+            shape = ifcopenshell.geom.create_shape(_SETTINGS, product, representation)
         except RuntimeError:
+            pass  # its log says why
+        reported = read_log(product)
+        if shape is None:
             continue
-        finally:
-            read_log(product)
         mesh = shape.geometry
         vertices = np.frombuffer(mesh.verts_buffer, dtype=np.float64).reshape(-1, 3).copy()
         triangles = np.frombuffer(mesh.faces_buffer, dtype=np.int32).reshape(-1, 3).copy()
@@ -165,7 +183,7 @@ def _kernel_shapes(
         if len(triangles):
             owners = np.frombuffer(mesh.item_ids_buffer, dtype=np.int32).copy()
             matrix = np.array(shape.transformation.matrix, dtype=float).reshape(4, 4, order="F")
-            yield _KernelShape(number, vertices, triangles, owners, matrix)
+            yield _KernelShape(number, vertices, triangles, owners, matrix, reported)
 
 
 def _shape(
@@ -288,6 +306,23 @@ def _parts(node: _Entity) -> tuple[_Entity, ...]:
     if node.is_a("IfcCsgSolid"):
         return (node.TreeRootExpression,)
     return ()
+
+
+def _mapping(product: _Entity, representation: _Entity) -> tuple[object, ...]:
+    """Return what is mapped how, by which copies are known where the kernel is not needed for their place; empty: they are not."""
+    placement, found = product.ObjectPlacement, []
+    if placement is not None and not placement.is_a("IfcLocalPlacement"):
+        return ()
+    for item in representation.Items:
+        if not item.is_a("IfcMappedItem"):
+            return ()
+        target = item.MappingTarget
+        if target is None or target.LocalOrigin is None:
+            return ()
+        axes = (getattr(getattr(target, name, None), "DirectionRatios", None) for name in ("Axis1", "Axis2", "Axis3"))
+        scales = (getattr(target, name, None) for name in ("Scale", "Scale2", "Scale3"))
+        found += [item.MappingSource.id(), target.LocalOrigin.Coordinates, *axes, *scales]
+    return tuple(found)
 
 
 def _resolved(representation: _Entity) -> Iterator[_Entity]:

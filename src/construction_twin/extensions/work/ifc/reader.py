@@ -31,7 +31,7 @@ from construction_twin.extensions.work.ifc.properties import (
     read_units,
 )
 from construction_twin.extensions.work.ifc.relations import read_relations
-from construction_twin.extensions.work.ifc.tasks import Groups, read_tasks, unique_id
+from construction_twin.extensions.work.ifc.tasks import read_tasks, unique_id
 from construction_twin.extensions.work.wholes import in_one_piece, is_workpiece, wholes
 from construction_twin.kinematics.chain import Pose
 
@@ -123,13 +123,8 @@ class _Reader:
 
     def record_ignored_coordinates(self) -> None:
         """Note the ignored coordinate systems: of the map, and of the model's context."""
-        for conversion in () if self.file.schema == "IFC2X3" else self.file.by_type("IfcMapConversion"):
-            with ReadingEntity(self.name, conversion):
-                shift = [conversion.Eastings, conversion.Northings, conversion.OrthogonalHeight]
-                turned = ", turned" * ((conversion.XAxisOrdinate or 0.0) != 0.0)
-            shown = ", ".join(f"{value:.3f}" for value in shift)
-            sentence = f"The map conversion (eastings, northings, height {shown}{turned}) is left out"
-            self.notes.add(f"{sentence}: poses are the model's own")
+        if self.file.schema != "IFC2X3" and self.file.by_type("IfcMapConversion"):
+            self.notes.add("The map conversion is left out: poses are the model's own")
         for context in self.file.by_type("IfcGeometricRepresentationContext", include_subtypes=False):
             with ReadingEntity(self.name, context):
                 system = context.WorldCoordinateSystem
@@ -137,10 +132,7 @@ class _Reader:
                     continue
                 matrix = np.array(ifcopenshell.util.placement.get_axis2placement(system), dtype=float)
             if not np.allclose(matrix, np.eye(4), atol=1e-9):
-                shown = ", ".join(f"{value * self.units.length:.3f}" for value in matrix[:3, 3])
-                turned = ", turned" * (not np.allclose(matrix[:3, :3], np.eye(3), atol=1e-9))
-                sentence = f"The world coordinate system of the model's context ({shown} m{turned}) is left out"
-                self.notes.add(f"{sentence}: poses are those of the placements")
+                self.notes.add("The context's world coordinate system is left out: poses are those of the placements")
 
     def elements(self) -> dict[str, Element]:
         """Read them, by their ids."""
@@ -210,9 +202,10 @@ class _Reader:
         if any(body_of(opening) is None for opening in self.relations.openings.get(product.id(), ())):
             self.notes.add("Openings without a body are not cut out", about)
 
-    def _record_kernel_log(self, product: _Entity) -> None:
-        """Note the kernel's messages about a product, and doubt it."""
-        for entry in parse_log(ifcopenshell.get_log()):
+    def _record_kernel_log(self, product: _Entity) -> bool:
+        """Note the kernel's messages about a product, and doubt it; return whether there are any."""
+        log = tuple(parse_log(ifcopenshell.get_log()))
+        for entry in log:
             if entry.code in NO_UNIT_CODES:
                 expected = (
                     "a unit of length that the geometry kernel can read: of the SI, or converted to that in one step"
@@ -220,6 +213,7 @@ class _Reader:
                 raise BuildingError(self.name, "units of the project", entry.text, expected)
             self.doubts.add({product.id(), *entry.numbers}, entry.text)
             self.notes.add(f"The geometry kernel says: {entry.text}", self.ids.get(product.id(), product.GlobalId))
+        return bool(log)
 
     def _products(self) -> list[_Entity]:
         products = []
@@ -331,9 +325,7 @@ def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
     for element in elements.values():
         if not element.bodies and element.id not in with_parts:
             notes.add("Elements without a body are no obstacle", element.name or element.id)
-    built_from_inputs, groups = _built_from_inputs(elements), Groups(reader.relations, reader.ids, notes)
-    tasks, sequences = read_tasks(file, name, groups, built_from_inputs, reader.units, notes)
-    elements |= groups.elements
+    tasks, sequences = read_tasks(file, name, reader.ids, _built_from_inputs(elements), reader.units, notes)
     elements |= reader.in_one_piece(elements, tasks)
     project = file.by_type("IfcProject")[0]
     with ReadingEntity(name, project):
