@@ -145,9 +145,6 @@ class MqttBridge:
         if control is not None:
             self._send(control)
 
-    def _refuse(self, error: PayloadError) -> None:
-        self._diagnostics.refuse(error.reason, str(error))
-
     # -- ROS to MQTT
 
     def on_command(self, stamp: int, q: tuple[float, ...]) -> None:
@@ -159,7 +156,7 @@ class MqttBridge:
         try:
             payload, properties = self._strings.encode_command(q, session, stamp)
         except PayloadError as error:
-            self._refuse(error)
+            self._diagnostics.refuse(error.reason, str(error))
             return
         self._client.send_stream(self._topics.command, payload, properties)
 
@@ -230,7 +227,7 @@ class MqttBridge:
             with self._lock:
                 handle(document, time.monotonic_ns())
         except PayloadError as error:
-            self._refuse(error)
+            self._diagnostics.refuse(error.reason, str(error))
             return
         self._publish_tool()
 
