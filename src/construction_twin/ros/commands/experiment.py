@@ -94,6 +94,7 @@ class Experiment(CellDriver):
         self.wait(started, lambda: approval)
         rest = time.monotonic() + self.execution.duration + self._settings.timeout
         end = self.wait(ended, lambda: f"the end of {title}; is the executor alive?", rest)
+        assert end is not None  # `wait` returns what is true
         if end.plan_id != plan_id:
             raise ConstructionTwinError(f"plan {plan_id} was replaced by {end.plan_id} before it was finished")
         if end.outcome != "finished":
