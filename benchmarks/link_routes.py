@@ -18,6 +18,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -98,10 +99,12 @@ class PlainEnd(RosEnd):
         threading.Thread(target=self._receive_all, daemon=True).start()
 
     def _receive_all(self) -> None:
-        while True:
-            for body in self._end.receive():
-                stamp = read_state_properties(read_publish(body)[2]).command_stamp
-                self.heard.arrivals.append((stamp, time.monotonic_ns()))
+        # the broker ends before this process
+        with suppress(ConnectionError):
+            while True:
+                for body in self._end.receive():
+                    stamp = read_state_properties(read_publish(body)[2]).command_stamp
+                    self.heard.arrivals.append((stamp, time.monotonic_ns()))
 
 
 class Bench:
