@@ -1,9 +1,8 @@
-"""The paper's joint string (Figure 6) and nothing else: rad inside, degrees on the wire.
+"""The paper's joint string (Figure 6): rad inside, degrees on the wire. Standard library only.
 
-One string is ``+012.345,-090.000,...``: per axis a sign, three digits, a point and a fixed number of decimals, comma
-separated, so that a PLC can cut it by position. Fields stand in the order of the controller's axes, A1 first, external axes
-last. A linear axis, which the paper does not have, is in mm with five digits before the point: ``+01234.567``. What does not
-fit is refused, never guessed. Standard library only.
+One string is ``+012.345,-090.000,...``: per axis a sign, three digits, a point and a fixed number of decimals, so that a PLC can
+cut it by position. Fields stand in the order of the controller's axes, A1 first, external axes last. A linear axis, which the
+paper does not have, is in mm with five digits before the point: ``+01234.567``.
 """
 
 from __future__ import annotations
