@@ -1,4 +1,4 @@
-"""What is set on the mock controller. Rad throughout."""
+"""Settings of the mock controller. Rad throughout."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from construction_twin.mock.gripper import Gripper
 
 @dataclass(frozen=True)
 class MockConfig:
-    """What is set on the controller. Tuples are of length n, in the order of `axes`; rad throughout.
+    """Settings of the controller. Tuples are of length n, in the order of `axes`; rad throughout.
 
     Attributes:
         start_pose: Of the first session, inside the soft limits.
         lower, upper: Soft limits.
         velocity, acceleration: Limits that the supervision is a multiple of.
-        layout: Of the telegrams, and whose they are. Default: that of the default make without a file.
-        units: How each axis is written in the telegrams; default: deg, and no axis linear.
+        layout: Default: that of the default make without a file.
+        units: Default: deg, and no axis linear.
         cycle: What the stamp advances by in a cycle [ms].
         precision: Decimals of sent values, 1 to 32. Real controllers default to 1 and run with 4; 6 keeps an evaluation exact.
         timeout: Cycles without a valid reply after which the session stops.

@@ -17,12 +17,7 @@ _NOTHING: Mapping[str, bool] = MappingProxyType({})
 
 @dataclass(frozen=True)
 class Gripper:
-    """What is simulated.
-
-    Attributes:
-        close, closed: Outputs that close the grip, and what the inputs read when it has closed.
-        time: From the outputs to the inputs [s].
-    """
+    """The simulated grip: outputs that close and open it, the inputs then, and the time from the ones to the others [s]."""
 
     close: Mapping[str, bool] = field(default_factory=dict)
     closed: Mapping[str, bool] = field(default_factory=dict)

@@ -220,11 +220,7 @@ class Chase:
 
 
 class Encoders:
-    """From measured angles to reported ones, one `read` per cycle.
-
-    Attributes:
-        slip: Length n. Error of the controller's angles since it took its readings as its pose [rad], see `absorb`.
-    """
+    """From measured angles to reported ones, one `read` per cycle; `slip`: errors that the controller took as its pose [rad]."""
 
     def __init__(self, count: int, period: float = CYCLE):
         self._period = period
