@@ -5,14 +5,18 @@ Joint vectors in the order of `RobotModel.joint_names`, SI; poses of the robot's
 
 from __future__ import annotations
 
+import functools
+import inspect
 import threading
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import BPoly, PPoly
 
 from construction_twin.core.clock import MONOTONIC, Clock
+from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import InverseKinematics, inverse_kinematics
@@ -123,6 +127,33 @@ def _reversed(trajectory: Trajectory, begin: float, robot: RobotModel) -> Trajec
     return replace(motion, positions=positions)
 
 
+@dataclass(frozen=True)
+class FailedRequest:
+    """A call of a method of `PlanningPipeline` that ended in an error, and the scene that it found."""
+
+    method: str
+    arguments: dict[str, Any]
+    scene: Scene | None
+    sentence: str
+
+
+def _remembered(plan: Callable[..., Plan]) -> Callable[..., Plan]:
+    """Make a method of `PlanningPipeline` keep its last call that failed."""
+    form = inspect.signature(plan)
+
+    @functools.wraps(plan)
+    def call(self: PlanningPipeline, *args: Any, **named: Any) -> Plan:
+        try:
+            return plan(self, *args, **named)
+        except ConstructionTwinError as error:
+            arguments = dict(form.bind(self, *args, **named).arguments)
+            del arguments["self"]
+            self.failed = FailedRequest(plan.__name__, arguments, self._scene, str(error))
+            raise
+
+    return call
+
+
 class PlanningPipeline:
     """Plans motions of one robot in the latest scene, also from several threads; PlanningError, SceneError: why there is no plan.
 
@@ -131,6 +162,9 @@ class PlanningPipeline:
         source: Topic of the scenes, for the message when there is none; "": they are given by calls.
         neighbour: Returns the space that another arm occupies now, padding included; raises when it is not known.
     """
+
+    #: The kinds of requests.
+    METHODS = ("to_joints", "to_pose", "along", "through", "work", "way_back")
 
     def __init__(
         self,
@@ -156,6 +190,8 @@ class PlanningPipeline:
         self._scene_fault: SceneError | None = None
         self._scene_changed = threading.Condition()
         self._world: CollisionWorld | None = None
+        #: The last request that failed.
+        self.failed: FailedRequest | None = None
 
     @property
     def scene(self) -> Scene | None:
@@ -188,11 +224,13 @@ class PlanningPipeline:
             ):
                 raise NoSceneError(self._source)
 
+    @_remembered
     def to_joints(self, start: JointValues, goal: JointValues, request: PlanRequest | None = None) -> Plan:
         """Plan a motion between two joint vectors; see `Planner.plan_to_joints`."""
         asked = request or PlanRequest()
         return self._in_scene(lambda world: self._planner.plan_to_joints(start, goal, asked, world))
 
+    @_remembered
     def to_pose(
         self, start: JointValues, pose: Pose, request: PlanRequest | None = None, configuration: str = ""
     ) -> Plan:
@@ -200,6 +238,7 @@ class PlanningPipeline:
         asked = request or PlanRequest()
         return self._in_scene(lambda world: self._planner.plan_to_pose(start, pose, asked, world, configuration))
 
+    @_remembered
     def along(
         self, start: JointValues, waypoints: Sequence[ToolWaypoint], speed: float | None, request: PlanRequest
     ) -> Plan:
@@ -215,6 +254,7 @@ class PlanningPipeline:
 
         return self._in_scene(lambda world: self._checked(build, "cartesian", request, world))
 
+    @_remembered
     def through(self, start: JointValues, waypoints: Waypoints, request: PlanRequest, retime: bool = False) -> Plan:
         """Plan a motion through joint waypoints made elsewhere; see `waypoints.plan_waypoints`.
 
@@ -254,6 +294,7 @@ class PlanningPipeline:
         plan = request.plan(planner, planning_time, timed.trajectory, measured, world.scene.hash)
         return replace(plan, retimed=why)
 
+    @_remembered
     def work(self, start: JointValues, task: str, segments: Sequence[WorkSegment], request: PlanRequest) -> Plan:
         """Join the segments of a task to a work plan and check each in its scene; see `work_plan.plan_work`."""
         bounds = self._settings.bounds
@@ -261,6 +302,7 @@ class PlanningPipeline:
             lambda world: plan_work(task, segments, start, request, world, bounds, self._clock)
         )  # fmt: skip
 
+    @_remembered
     def way_back(
         self, start: JointValues, task: str, path: ExecutedPath, requires: tuple[Signal, ...], request: PlanRequest
     ) -> Plan:

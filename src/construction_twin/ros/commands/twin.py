@@ -55,7 +55,7 @@ class Command:
         name = self._options.command
         if name in TRIGGERS:
             return _print_outcome(self._client.trigger(name))
-        return getattr(self, f"_{name}")()
+        return getattr(self, f"_{name.replace('-', '_')}")()
 
     def _plan(self) -> Exit:
         options = self._options
@@ -184,6 +184,18 @@ class Command:
         print("\n".join(scene_lines(scene_from_msg(self._client.latched("scene", Scene, *silent)))))
         return Exit.DONE
 
+    def _save_failure(self) -> Exit:
+        """Write the last plan that failed; where none did, the hold of now."""
+        from construction_twin.ros.commands.save_failure import running_failure
+
+        listener = self._listener()
+        listener.wait(lambda: listener.newest("sync"), self._options.timeout)
+        self._await_latched(listener)
+        failure = running_failure(self._namespace, listener.snapshot(), self._client)
+        if write_or_print(self._options.file, failure):
+            print(f"{self._options.file}: python -m construction_twin.replay says what happens now")
+        return Exit.DONE
+
     def _rehearsal(self) -> Exit:
         """Show what the rehearsal of the newest plan has found; the exit code is 0 if it passed."""
         to_do = "have a motion planned, or see on /diagnostics why there is no rehearsal"
@@ -290,6 +302,11 @@ def connect(options: argparse.Namespace) -> None:
 def run(options: argparse.Namespace) -> int:
     """Do what a command line says; return an exit code of `views.arguments.Exit`."""
     try:
+        if getattr(options, "model", None):
+            from construction_twin.replay import model_failure
+
+            write_or_print(options.file, model_failure(Path(options.model)))
+            return Exit.DONE
         connect(options)
         return Command(options).run()
     except SilenceError as error:

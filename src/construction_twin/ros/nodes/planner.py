@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Annotated, Any
@@ -27,6 +28,7 @@ from construction_twin.planning.requests import Answer, PlanRequests
 from construction_twin.planning.tool_path import ToolWaypoint
 from construction_twin.planning.waypoints import Waypoints, from_points
 from construction_twin.planning.work_plan import in_segment
+from construction_twin.replay import request_json
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.executed_path import ExecutedPath
 from construction_twin.robot.motion_errors import PlanningError, SceneError
@@ -296,8 +298,14 @@ class PlannerNode:
     def _publish_outcome(self, asked: PlanRequest, answer: Answer) -> None:
         self._last = answer.message if answer.success else f"no plan: {answer.message}"
         (rospy.loginfo if answer.success else rospy.logwarn)("%s", self._last)
+        failed = self._pipeline.failed
+        computed = not answer.success and failed is not None and failed.sentence == answer.message
         outcome = msg.PlanOutcome(
-            success=answer.success, source=asked.source, message=answer.message, plan_id=answer.plan_id
+            success=answer.success,
+            source=asked.source,
+            message=answer.message,
+            plan_id=answer.plan_id,
+            request=json.dumps(request_json(failed)) if computed and failed is not None else "",
         )
         outcome.header.stamp = rospy.Time.now()
         self._outcome_publisher.publish(outcome)

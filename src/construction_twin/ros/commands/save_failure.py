@@ -1,0 +1,55 @@
+"""What failed last in a running system, as a file for `construction_twin.replay`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import rospy
+from sensor_msgs.msg import JointState
+
+from construction_twin.core.errors import ConstructionTwinError, RequestRefused, SilenceError
+from construction_twin.core.records import json_value
+from construction_twin.monitor.settings import GateSettings
+from construction_twin.msg import PlanOutcome
+from construction_twin.planning.planner import PlannerSettings
+from construction_twin.replay import replayed, written
+from construction_twin.ros.shared.params import robot_from_parameters
+from construction_twin.ros.shared.robot_client import OperatorClient
+from construction_twin.views.texts import Snapshot
+
+
+def running_failure(namespace: str, now: Snapshot, client: OperatorClient) -> str:
+    """Return the last plan that failed, else the hold of now, as JSON; RequestRefused: neither is there."""
+    reports = (now.link, now.sync, now.execution)
+    state = {name: json_value(report) for name, report in zip(("link", "sync", "execution"), reports)}
+    planner = rospy.get_param(f"{namespace}/planner")
+    robot: dict[str, Any] = {
+        "urdf": rospy.get_param(f"{namespace}/robot_description"),
+        "description": rospy.get_param(f"{namespace}/robot"),
+        "self_collision": Path(planner["self_collision"]).read_text(encoding="utf-8"),
+    }
+    try:
+        outcome = client.latched("plan_outcome", PlanOutcome, "no plan was asked for", "ask for one")
+    except SilenceError:
+        outcome = PlanOutcome(success=True)
+    if not outcome.success and outcome.request:
+        settings = {name: planner[name] for name in PlannerSettings.model_fields}
+        return written("plan", outcome.message, state, robot=robot, settings=settings, **json.loads(outcome.request))
+    if now.hold is None or not now.hold.since:
+        raise RequestRefused("nothing has failed: the last plan was made, and the poses do not keep the gate closed")
+    joints = robot_from_parameters(f"{namespace}/").joint_names
+    poses = {}
+    for name in ("twin", "physical"):
+        message = client.latched(f"{name}/joint_states", JointState, "there is no pose", "see why it is down")
+        held = dict(zip(message.name, message.position))
+        poses[name] = [held[joint] for joint in joints]
+    monitor = rospy.get_param(f"{namespace}/pca_monitor")
+    settings = {name: monitor[name] for name in GateSettings.model_fields if name in monitor}
+    hold = {"robot": robot, "settings": settings, "decimals": monitor["decimals"], **poses}
+    try:
+        sentence = replayed({"kind": "hold", **hold})
+    except ConstructionTwinError as error:
+        raise RequestRefused(f"the hold cannot be replayed: {error}") from error
+    return written("hold", sentence, state, **hold)
