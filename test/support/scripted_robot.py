@@ -378,7 +378,7 @@ class ScriptedRobot:
 
     def _answer(self, kind: RequestKind, account: str, ok: bool, reason: str = "", /, **known: object) -> None:
         payload = kind.payload(account=account, ok=ok, reason=reason, **known)
-        self._publish(self._topics.ack_of(kind, account), payload)
+        self._publish(self._topics.ack_of(kind), payload)
 
     def _on_review(self, account: str, payload: bytes, retained: bool) -> None:
         self._on_verdict(requests.REVIEW, Verdict, account, payload, retained)
