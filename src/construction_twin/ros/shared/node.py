@@ -41,18 +41,19 @@ def run_node(name: str, start: Callable[[], object], refused: Callable[[str], ob
         sys.exit(f"{name} cannot run: {error}")
     with ending_on_signals():
         try:
-            expect_no_other(name)
-            rospy.init_node(name, argv=sys.argv, disable_signals=True)
+            try:
+                expect_no_other(name)
+                rospy.init_node(name, argv=sys.argv, disable_signals=True)
+            except ConstructionTwinError as error:
+                # under a name that ends no other node
+                rospy.init_node(name, argv=sys.argv[:1], anonymous=True, disable_signals=True)
+                refused(str(error))
+                return
         except rospy.exceptions.ROSInitException:
-            # Ctrl-C came meanwhile
+            # Ctrl-C, or the end of the launch, came meanwhile
             if rospy.core.is_shutdown_requested():
                 return
             raise
-        except ConstructionTwinError as error:
-            # under a name that ends no other node
-            rospy.init_node(name, argv=sys.argv[:1], anonymous=True, disable_signals=True)
-            refused(str(error))
-            return
         try:
             _serve(name, start, refused)
         finally:
