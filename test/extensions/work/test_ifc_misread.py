@@ -424,7 +424,7 @@ def test_a_task_that_makes_an_assembly_places_its_parts_once_a_person_accepts_th
     assert [(job.task, job.element) for job in schedule.jobs] == [
         (task.GlobalId, lower.GlobalId), (task.GlobalId, upper.GlobalId), (own.GlobalId, other.GlobalId),
     ]  # fmt: skip
-    assert schedule.proposed and noted(schedule.notes, "which has no body of its own: its parts in an order")
+    assert schedule.proposed and noted(schedule.notes, "which has no body of its own: what is in it")
 
 
 # -- schemas and contexts

@@ -164,3 +164,52 @@ def test_an_event_between_two_tasks_keeps_their_order_and_lags(read, nested, sch
     assert [job.task for job in schedule.jobs] == [second.GlobalId, first.GlobalId]
     assert [(wait.job, wait.lag) for wait in schedule.job(first.GlobalId).after] == [(second.GlobalId, 120.0)]
     assert noted(found.notes, "Comes after what the arm does not see", kind)
+
+
+def held(model, kind, *elements):
+    """A group of elements, or a part of the site that holds them."""
+    if kind == "IfcGroup":
+        group = model.root(kind, Name="Takt 1")
+        model.root("IfcRelAssignsToGroup", RelatingGroup=group, RelatedObjects=list(elements))
+        return group
+    model.aggregate(model.building, [floor := model.root(kind, Name="Upper floor")])
+    model.root("IfcRelContainedInSpatialStructure", RelatingStructure=floor, RelatedElements=list(elements))
+    return floor
+
+
+@pytest.mark.parametrize(
+    ("kind", "inputs"), [("IfcGroup", True), ("IfcBuildingStorey", True), ("IfcBuildingStorey", False)]
+)
+def test_a_task_of_a_group_or_a_storey_makes_what_is_in_it(read, kind, inputs):
+    model = IfcModel()
+    upper = model.box("upper", (1.0, 0.1, 0.1), at=(0.0, 0.0, 0.1))
+    lower = model.box("lower", (1.0, 0.1, 0.1))
+    group = held(model, kind, upper, lower)
+    task = model.task("takt", [] if inputs else [group])
+    if inputs:
+        model.inputs(task, group)
+    schedule = Schedule.of(read(model))
+    assert [(job.task, job.element) for job in schedule.jobs] == [
+        (task.GlobalId, lower.GlobalId), (task.GlobalId, upper.GlobalId),
+    ]  # fmt: skip
+    assert schedule.proposed and not noted(schedule.notes, "No task makes")
+    assert noted(schedule.notes, "which has no body of its own: what is in it", task.GlobalId)
+
+
+def test_of_groups_that_share_elements_the_smaller_one_has_them_or_else_the_first(read):
+    model = IfcModel()
+    a, b, c = (model.box(name, (0.1, 0.1, 1.0), at=(k, 0, 0)) for k, name in enumerate("abc"))
+    groups = [held(model, "IfcGroup", *members) for members in ((a, b, c), (a, b), (b, a))]
+    whole, small, same = (model.task(f"t{k}", [group]) for k, group in enumerate(groups))
+    schedule = Schedule.of(read(model))
+    assert {job.element: job.task for job in schedule.jobs} == {
+        a.GlobalId: small.GlobalId, b.GlobalId: small.GlobalId, c.GlobalId: whole.GlobalId,
+    }  # fmt: skip
+    assert noted(schedule.notes, "which has no body of its own: nothing that is in it", same.GlobalId)
+
+
+def test_a_task_that_takes_down_a_storey_takes_down_what_is_in_it(read):
+    model = IfcModel()
+    old = model.box("old", (0.1, 0.1, 1.0), kind="IfcDoor")
+    model.task("clear", [held(model, "IfcBuildingStorey", old)], PredefinedType="DEMOLITION")
+    assert [job.element for job in Schedule.of(read(model)).removals] == [old.GlobalId]

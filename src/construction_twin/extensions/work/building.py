@@ -63,6 +63,7 @@ class Element:
         status: ``existing``: it stands already; ``demolish``: it stands and is to be taken down.
         doubt: Why its bodies are not what the model says, so that they are an obstacle at most.
         on: Ids of the elements that it fills, covers, projects from or fastens.
+        members: Of a group or a part of the site that a task is assigned to: ids of what it holds, in place of bodies.
     """
 
     id: str
@@ -78,6 +79,7 @@ class Element:
     status: str = ""
     doubt: str = ""
     on: tuple[str, ...] = ()
+    members: tuple[str, ...] = ()
 
     @property
     def box(self) -> np.ndarray:

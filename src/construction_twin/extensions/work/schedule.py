@@ -315,26 +315,30 @@ class _Reading:
         return tuple(dict.fromkeys(found))
 
     def _of_assembly(self, identifier: str, element: str) -> list[str]:
-        """Return the workpieces of what has parts in place of a body, without those of other tasks, as proposed."""
+        """Return the workpieces of what has no body but parts or members that no other task makes, as proposed."""
         model, parts = self._model, set(parts_of(self._elements, element))
-        others = [
-            one
-            for name, task in self._tasks.items()
-            for one in (task.products if name != identifier and task.kind == "makes" else ())
-            if one in parts and self._moves(name, one)
-        ]
-        wanted = [one for one in workpieces(model) if one in parts - self._with_parts(others).keys()]
+        # also the parts of an assembly within this one that has a task of its own, done or not
+        elsewhere: set[str] = set()
+        earlier = True
+        for name, task in self._tasks.items():
+            earlier = earlier and name != identifier
+            for one in task.products if name != identifier and task.kind == "makes" else ():
+                if one not in model.elements or not self._moves(name, one):
+                    continue
+                theirs = set(parts_of(self._elements, one))
+                # of groups with something in common the smaller one has it, else the first
+                if one in parts or (theirs & parts and (theirs < parts or (earlier and not theirs > parts))):
+                    elsewhere |= {one, *theirs}
+        wanted = [one for one in workpieces(model) if one in parts - elsewhere]
+        sentence = "nothing that is in it is left for this task"
         if wanted:
             alone = replace(model, elements={one: model.elements[one] for one in wanted}, tasks={}, sequences=())
             wanted = [one for part in propose(alone).tasks.values() for one in part.products]
             self.guessed = self.guessed or len(wanted) > 1
-        made = f"Task {identifier} makes {model.elements[element].name or element}, which has no body of its own"
-        order = (
-            f"its parts in an order that a person must accept: {first_few(wanted)}"
-            if wanted
-            else "nothing is left of it"
-        )
-        self.notes.append(f"{made}: {order}.")
+            order = "one after the other, in an order from the geometry that a person must accept"
+            sentence = f"what is in it is placed {order}: {first_few(wanted)}"
+        assembly = f"Task {identifier} makes {model.elements[element].name or element}, which has no body of its own"
+        self.notes.append(f"{assembly}: {sentence}.")
         return wanted
 
     def _without_temporary(

@@ -50,7 +50,7 @@ _PROJECTS = "IfcProjectionElement"
 
 
 def parts_of(elements: Mapping[str, Element], whole: str) -> list[str]:
-    """Return what is a part of an element, or of a part of it; nearest first."""
+    """Return what is a part of an element, or of a part of it, or what a group holds; nearest first."""
     return _below(_dependents(elements)[0], whole)
 
 
@@ -123,10 +123,11 @@ def comes_after(elements: Mapping[str, Element], placed: Collection[str]) -> dic
 
 
 def _dependents(elements: Mapping[str, Element]) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
-    """Return the parts of elements, and what is on them."""
+    """Return the parts or members of elements, and what is on them."""
     parts: dict[str, list[str]] = defaultdict(list)
     guests: dict[str, list[str]] = defaultdict(list)
     for name, element in elements.items():
+        parts[name] += element.members
         parts[element.assembly].append(name)
         for host in element.on:
             guests[host].append(name)

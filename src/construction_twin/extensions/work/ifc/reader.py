@@ -31,7 +31,7 @@ from construction_twin.extensions.work.ifc.properties import (
     read_units,
 )
 from construction_twin.extensions.work.ifc.relations import read_relations
-from construction_twin.extensions.work.ifc.tasks import read_tasks, unique_id
+from construction_twin.extensions.work.ifc.tasks import Groups, read_tasks, unique_id
 from construction_twin.extensions.work.wholes import in_one_piece, is_workpiece, wholes
 from construction_twin.kinematics.chain import Pose
 
@@ -325,7 +325,9 @@ def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
     for element in elements.values():
         if not element.bodies and element.id not in with_parts:
             notes.add("Elements without a body are no obstacle", element.name or element.id)
-    tasks, sequences = read_tasks(file, name, reader.ids, _built_from_inputs(elements), reader.units, notes)
+    built_from_inputs, groups = _built_from_inputs(elements), Groups(reader.relations, reader.ids, notes)
+    tasks, sequences = read_tasks(file, name, groups, built_from_inputs, reader.units, notes)
+    elements |= groups.elements
     elements |= reader.in_one_piece(elements, tasks)
     project = file.by_type("IfcProject")[0]
     with ReadingEntity(name, project):

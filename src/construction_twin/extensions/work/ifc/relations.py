@@ -24,11 +24,27 @@ _ON = {
 
 @dataclass(frozen=True)
 class Relations:
-    """By id: the whole of a part, openings of an element, what something is on."""
+    """By id: the whole of a part, openings of an element, what something is on, and what a group or part of the site holds."""
 
     whole: dict[int, _Entity]
     openings: _Entities
     on: _Entities
+    members: _Entities
+
+    def within(self, group: _Entity) -> list[_Entity]:
+        """Return what a group or a part of the site holds, what holds things itself replaced by these."""
+        found: dict[int, _Entity] = {}
+        left, visited = [group], set()
+        while left:
+            at = left.pop(0)
+            if at.id() in visited:
+                continue
+            visited.add(at.id())
+            if at.id() in self.members:
+                left += self.members[at.id()]
+            elif at is not group:
+                found[at.id()] = at
+        return [found[number] for number in sorted(found)]
 
     def wholes(self, entity: _Entity) -> list[_Entity]:
         """Return what an entity is part of, the nearest first."""
@@ -43,11 +59,21 @@ class Relations:
 def read_relations(file: ifcopenshell.file, name: str) -> Relations:
     """Read them."""
     whole: dict[int, _Entity] = {}
+    members: _Entities = defaultdict(list)
     # in IFC2x3 both are subtypes of IfcRelDecomposes; nesting of tasks and resources is read with them, for its loops
     for relation in (*file.by_type("IfcRelAggregates"), *file.by_type("IfcRelNests")):
         with ReadingEntity(name, relation):
             for part in relation.RelatedObjects:
                 whole.setdefault(part.id(), relation.RelatingObject)
+                if relation.RelatingObject.is_a("IfcProduct") and not relation.RelatingObject.is_a("IfcElement"):
+                    members[relation.RelatingObject.id()].append(part)
+    for relation in file.by_type("IfcRelContainedInSpatialStructure"):
+        with ReadingEntity(name, relation):
+            for part in relation.RelatedElements:
+                members[relation.RelatingStructure.id()].append(part)
+    for relation in file.by_type("IfcRelAssignsToGroup"):
+        with ReadingEntity(name, relation):
+            members[relation.RelatingGroup.id()] += relation.RelatedObjects
     voided: dict[int, _Entity] = {}
     openings: _Entities = defaultdict(list)
     for relation in file.by_type("IfcRelVoidsElement"):
@@ -55,7 +81,7 @@ def read_relations(file: ifcopenshell.file, name: str) -> Relations:
             openings[relation.RelatingBuildingElement.id()].append(relation.RelatedOpeningElement)
             voided[relation.RelatedOpeningElement.id()] = relation.RelatingBuildingElement
     refuse_loops(file, name, whole)
-    return Relations(whole, dict(openings), _on(file, name, voided))
+    return Relations(whole, dict(openings), _on(file, name, voided), dict(members))
 
 
 def _on(file: ifcopenshell.file, name: str, voided: dict[int, _Entity]) -> _Entities:

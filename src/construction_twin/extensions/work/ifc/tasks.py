@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from datetime import datetime, timedelta
 from functools import partial
 
@@ -15,13 +15,15 @@ import ifcopenshell
 import ifcopenshell.util.date
 import ifcopenshell.util.element
 import isodate
+import numpy as np
 
-from construction_twin.extensions.work.building import Sequence, Task
+from construction_twin.extensions.work.building import Element, Sequence, Task
 from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.notes import Notes, ReadingEntity, label
 from construction_twin.extensions.work.ifc.properties import Units, read_properties
-from construction_twin.extensions.work.ifc.relations import refuse_loops
+from construction_twin.extensions.work.ifc.relations import Relations, refuse_loops
 from construction_twin.extensions.work.process import PROPERTY_SET, RECIPE
+from construction_twin.kinematics.chain import Pose
 
 _Entity = ifcopenshell.entity_instance
 _NO_TIME = "The project has no unit of time: a lag or duration that is a number is taken as seconds"
@@ -50,20 +52,36 @@ _NOT_BEGUN_WORDS = ("", "NOTSTARTED", "NOTYETSTARTED", "PLANNED", "SCHEDULED", "
 _ROUNDING = 1e-6
 
 
-def read_tasks(
-    file: ifcopenshell.file,
-    name: str,
-    elements: Mapping[int, str],
-    built_from_inputs: Collection[str],
-    units: Units,
-    notes: Notes,
-) -> tuple[dict[str, Task], tuple[Sequence, ...]]:
-    """Read tasks and sequences.
+class Groups:
+    """What tasks are assigned to: elements, and groups and parts of the site, which become records of their own.
 
-    Args:
-        elements: Ids by number.
-        built_from_inputs: Ids of elements that a task builds where it has them as inputs only.
+    `elements`: Records of the groups and parts of the site that tasks are assigned to, by their ids.
     """
+
+    def __init__(self, relations: Relations, ids: dict[int, str], notes: Notes):
+        self.relations, self._ids, self._notes = relations, dict(ids), notes
+        self.elements: dict[str, Element] = {}
+
+    def named(self, entity: _Entity) -> str:
+        """Return the id of an element, or of what holds elements; empty: it is neither."""
+        if entity.id() not in self._ids:
+            within = self.relations.within(entity)
+            members = tuple(self._ids[each.id()] for each in within if each.id() in self._ids)
+            if not members:
+                return ""
+            own = unique_id(entity, self._ids.values(), self._notes)
+            self._ids[entity.id()] = own
+            self.elements[own] = Element(
+                own, entity.is_a(), entity.Name or "", "", "", "", Pose(np.zeros(3), np.eye(3)), (), {}, None,
+                members=members,
+            )  # fmt: skip
+        return self._ids[entity.id()]
+
+
+def read_tasks(
+    file: ifcopenshell.file, name: str, groups: Groups, built_from_inputs: Collection[str], units: Units, notes: Notes
+) -> tuple[dict[str, Task], tuple[Sequence, ...]]:
+    """Read tasks and sequences; `built_from_inputs`: ids of elements that a task builds where it has them as inputs only."""
     parents: dict[int, _Entity] = {}
     # IFC wants nesting; some authors aggregate
     for relation in (*file.by_type("IfcRelNests"), *file.by_type("IfcRelAggregates")):
@@ -71,7 +89,7 @@ def read_tasks(
             for part in relation.RelatedObjects:
                 parents.setdefault(part.id(), relation.RelatingObject)
     refuse_loops(file, name, parents)
-    reading = _Reading(parents, elements, built_from_inputs, units, notes)
+    reading = _Reading(parents, groups, built_from_inputs, units, notes)
     every = sorted(file.by_type("IfcTask"), key=lambda task: task.id())
     with ReadingEntity(name, "the schedule"):
         reading.beyond = any(_completion(_time_of(task)) > 1.0 + _ROUNDING for task in every)
@@ -120,12 +138,12 @@ class _Reading:
     def __init__(
         self,
         parents: dict[int, _Entity],
-        elements: Mapping[int, str],
+        groups: Groups,
         built_from_inputs: Collection[str],
         units: Units,
         notes: Notes,
     ):
-        self._element_ids, self._built_from_inputs, self._notes = elements, built_from_inputs, notes
+        self._groups, self._built_from_inputs, self._notes = groups, built_from_inputs, notes
         self._time_unit = units.factors.get("TIMEUNIT")
         self._units, self._parents = units, parents
         self.ids: dict[int, str] = {}
@@ -158,7 +176,7 @@ class _Reading:
 
     def task(self, entity: _Entity) -> Task:
         """Return one."""
-        task_id, time = self.ids[entity.id()], _time_of(entity)
+        task_id, groups, time = self.ids[entity.id()], self._groups, _time_of(entity)
         note = partial(self._notes.add, about=entity.Name or task_id)
         operates = [each for relation in entity.OperatesOn for each in relation.RelatedObjects]
         products = self._elements(
@@ -175,7 +193,9 @@ class _Reading:
         if cancelled:
             note("Tasks that the file says are cancelled: not done, nothing waits for them but what comes before")
         if kind == "makes" and not products:
-            products = [each for each in inputs if by_recipe or each in self._built_from_inputs]
+            products = [
+                each for each in inputs if by_recipe or each in self._built_from_inputs or each in groups.elements
+            ]
             inputs = [each for each in inputs if each not in products]
             if products and not by_recipe:
                 said = "Tasks whose workpieces are assigned as inputs only (IfcRelAssignsToProcess)"
@@ -207,7 +227,7 @@ class _Reading:
     def _elements(self, entities: list[_Entity], note: _Note) -> list[str]:
         found: dict[str, None] = {}
         for entity in entities:
-            if own := self._element_ids.get(entity.id()):
+            if own := self._groups.named(entity):
                 found[own] = None
             else:
                 note(f"Assigned to a task but no element ({entity.is_a()}); left out")
