@@ -112,7 +112,7 @@ def register(names: Sequence[str], base: np.ndarray, model: np.ndarray, most: fl
     pose, residuals = _fit(base, model)
     if residuals.max() > most:
         raise PlacementError(
-            f"{names[residuals.argmax()]} is {1e3 * residuals.max():.1f} mm off, {1e3 * most:.1f} mm allowed: "
+            f"{names[int(residuals.argmax())]} is {1e3 * residuals.max():.1f} mm off, {1e3 * most:.1f} mm allowed: "
             f"{_cause(names, base, model, residuals.max())} ({Registration(pose, dict(zip(names, residuals)))})"
         )
     return Registration(pose, dict(zip(names, residuals.tolist())))
@@ -150,7 +150,9 @@ def write_base(cell: Path, registration: Registration, remark: str) -> None:
         remark: Comment behind it, one line.
     """
     text = cell.read_text(encoding="utf-8")
-    keys = {key.value: (key, value) for key, value in yaml.compose(text).value}
+    document = yaml.compose(text)
+    assert document is not None  # the command has read it
+    keys = {key.value: (key, value) for key, value in document.value}
     key, value = keys.get("model_T_base") or keys["base_element"]
     start, end = key.start_mark.index, _end(value)
     rest, newline, after = text[end:].partition("\n")

@@ -79,7 +79,7 @@ def convert(model: Path, plan: Path, output: Path, activity: str, element: str, 
     named = _named(file, element)
     leaves = [task for task in file.by_type("IfcTask") if task.TaskTime is not None]
     found = re.compile(re.escape(pattern).replace(r"\{\}", "(.+)"), re.IGNORECASE).fullmatch
-    products: dict[int, list[ifcopenshell.entity_instance]] = {}
+    products: dict[int, list[Any]] = {}
     others: list[str] = []
     for task in leaves:
         matched = found(_text(task, activity))
@@ -139,7 +139,7 @@ def _add_tasks(file: ifcopenshell.file, plan: Path) -> str:
     return kind
 
 
-def _named(file: ifcopenshell.file, field: str) -> dict[str, list[ifcopenshell.entity_instance]]:
+def _named(file: ifcopenshell.file, field: str) -> dict[str, list[Any]]:
     """Return what activities can name, by its text in lower case."""
     named = defaultdict(list)
     for entity in (each for kind in _NAMED for each in file.by_type(kind)):
@@ -148,7 +148,7 @@ def _named(file: ifcopenshell.file, field: str) -> dict[str, list[ifcopenshell.e
     return named
 
 
-def _text(entity: ifcopenshell.entity_instance, field: str) -> str:
+def _text(entity: Any, field: str) -> str:
     """Return an attribute or a property (``Pset.Property``, or the property of any set) as a text; empty: there is none."""
     import ifcopenshell.util.element
 
@@ -160,7 +160,7 @@ def _text(entity: ifcopenshell.entity_instance, field: str) -> str:
     return "" if value is None else str(value).strip()
 
 
-def _assign(file: ifcopenshell.file, task: ifcopenshell.entity_instance, product: ifcopenshell.entity_instance) -> None:
+def _assign(file: ifcopenshell.file, task: Any, product: Any) -> None:
     import ifcopenshell.guid
 
     file.create_entity(
