@@ -1,4 +1,4 @@
-"""Who may do what at a site's broker, and mosquitto's files for it. Pure; what is no request stands in config/mosquitto/."""
+"""Rights at a site's broker, and mosquitto's files made of them. Pure; rules beside requests are in config/mosquitto/."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _OF_ACCOUNTS = [kind for kind in REQUESTS if kind.right]
 
 @dataclass(frozen=True)
 class Site:
-    """What a site consists of; ConfigurationError when a name could not stand in a topic, an access rule or a certificate.
+    """A site's hosts, robots and accounts; ConfigurationError for an invalid name.
 
     Attributes:
         hosts, consoles: Names and addresses under which clients reach the broker, and browsers the console.
@@ -76,11 +76,11 @@ class Site:
                 raise ConfigurationError("--person", name, "a name that no program's account has, or may have")
 
     def programs(self, robot: str) -> dict[str, str]:
-        """Return the accounts of a robot's programs, and which program each is of."""
+        """Return a robot's machine accounts, and the program of each."""
         return {f"{robot}-{program}": program for program in (*PROGRAMS, *(PLC,) * self.plc)}
 
     def people(self) -> tuple[str, ...]:
-        """Return the name of each person, which is the account's."""
+        """Return the names of the people's accounts."""
         return merged((), (read_person(words)[0] for words in self.persons))
 
     def accounts(self) -> list[str]:
@@ -88,7 +88,7 @@ class Site:
         return [*(account for robot in self.robots for account in self.programs(robot)), *self.people()]
 
     def rights(self, robot: str) -> dict[str, list[str]]:
-        """Return the rights of each person at a robot, in the order of `RIGHTS`; without those who have none."""
+        """Return each person's rights at a robot, in the order of `RIGHTS`."""
         granted: dict[str, set[str]] = {}
         for name, rights, robots in map(read_person, self.persons):
             if robot in (robots or self.robots):
@@ -97,7 +97,7 @@ class Site:
 
 
 def read_person(words: str) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
-    """Return name, rights and robots of what `Site.persons` holds; no robot: every one."""
+    """Parse an entry of `Site.persons` into name, rights and robots (empty: all)."""
     found = _PERSON.fullmatch(str(words))
     if found is None:
         raise ConfigurationError("--person", words, "NAME:RIGHTS[@ROBOTS], as ada:operate,approve@kr120_1,kr120_2")

@@ -65,7 +65,7 @@ def run_tool(program: str, *arguments: object) -> str:
 
 
 def sign(name: str, path: Path, days: int, extensions: Iterable[str], signer: Iterable[object] = ()) -> None:
-    """Write ``path.crt`` for ``path.key``, which is made where it is missing; without a signer signed by that key itself."""
+    """Write ``path.crt``, self-signed without a signer, and ``path.key`` where it is missing."""
     key = path.with_suffix(".key")
     if not key.exists():
         write_private(key, run_tool("openssl", "genpkey", "-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:P-256"))
@@ -78,7 +78,7 @@ def sign(name: str, path: Path, days: int, extensions: Iterable[str], signer: It
 
 
 def sign_authority(path: Path, hosts: Iterable[str]) -> None:
-    """Write a CA that vouches for these hosts, names below them and loopback only: tablets trust it."""
+    """Write a CA restricted to these hosts, their subdomains and loopback."""
     permitted = sorted({_permitted(host) for host in (*hosts, "localhost", "127.0.0.1", "::1")})
     sign("construction_twin site", path, CA_DAYS, (*_CA, f"nameConstraints=critical,{','.join(permitted)}"))
 
@@ -111,7 +111,7 @@ def _alternative_name(host: str) -> str:
 
 
 def load_site(folder: Path) -> dict:
-    """Return the settings of the last run, empty before the first one; ConstructionTwinError when they cannot be read."""
+    """Read the settings of the last run; {} before the first."""
     path = folder / "site.json"
     if not path.exists():
         return {}
@@ -154,7 +154,7 @@ def make_site(folder: Path, site: Site) -> list[str]:
 
 
 def _make_accounts(folder: Path, site: Site) -> list[str]:
-    """Give every account that has none a password; accounts that are no longer of the site lose theirs."""
+    """Make passwords of new accounts, and drop those of removed ones."""
     path, names = folder / "broker/passwords", site.accounts()
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
     hashed = {line.partition(":")[0]: line for line in lines}
@@ -175,7 +175,7 @@ def _template(name: str) -> str:
 
 
 def _hash_passwords(passwords: dict[str, str]) -> dict[str, str]:
-    """Return the lines of mosquitto's password file; no password stands on a command line, where every user could read it."""
+    """Return the lines of mosquitto's password file; passwords stay off the command line."""
     if not passwords:
         return {}
     with tempfile.TemporaryDirectory() as scratch:
@@ -216,7 +216,7 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
 
 
 def _site(asked: argparse.Namespace, before: dict) -> Site:
-    """Return the site of the last run with what is asked for now; a person's rights in place of those before."""
+    """Merge the options into the site of the last run; a person's rights are replaced."""
     named = {read_person(words)[0] for words in asked.person}
     others = [words for words in before.get("persons", ()) if read_person(words)[0] not in named]
     added = {

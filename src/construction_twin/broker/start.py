@@ -26,7 +26,7 @@ _LISTENER = re.compile(r"^\s*listener\s+(\d+)", re.MULTILINE)
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Become mosquitto; ConfigurationError where that is not possible."""
+    """Replace this process with mosquitto."""
     arguments = read_arguments(argv)
     program, text = check(arguments.config, arguments.port, arguments.accounts)
     print(f"broker: {request_realtime(arguments.realtime)}", flush=True)
@@ -52,7 +52,7 @@ def read_arguments(argv: list[str] | None) -> argparse.Namespace:
 
 
 def check(path: str, port: int, accounts: bool = False) -> tuple[str, str]:
-    """Return mosquitto's path and its configuration's text; `accounts` refuses one that lets in clients without an account."""
+    """Return mosquitto's path and its configuration; `accounts`: refuse anonymous clients."""
     program = shutil.which("mosquitto", path="/usr/sbin:/usr/bin:" + os.environ.get("PATH", ""))
     if program is None:
         raise ConfigurationError("mosquitto", None, "it to be installed; run setup/setup.sh")
@@ -79,7 +79,7 @@ def allows_anonymous(text: str) -> bool:
 
 
 def _complete(text: str, port: int) -> str:
-    """Return a configuration with what it lacks: without a listener of its own mosquitto binds nothing but loopback."""
+    """Add to a configuration what it lacks: a listener on loopback, or the present user."""
     if not listener_ports(text):
         return f"{text}\nlistener {port} 127.0.0.1\n"
     # when root starts it, it stays root: as user mosquitto it could not read its keys
@@ -92,7 +92,7 @@ def listener_ports(text: str) -> list[int]:
 
 
 def _in_memory(text: str) -> int:
-    """Return a file in memory that mosquitto inherits; with ``-p`` it would warn that only local clients can connect."""
+    """Return a memory file for mosquitto to inherit: ``-p`` would make it warn of local-only mode."""
     file = os.memfd_create("mosquitto.conf", 0)  # without MFD_CLOEXEC
     os.write(file, text.encode())
     return file

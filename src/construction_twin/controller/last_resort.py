@@ -1,4 +1,4 @@
-"""What answers a controller after the gateway has failed: brakes from the last target that was sent, then holds. rad, m.
+"""Replies after a failure of the gateway: braking from the last target sent, then rest. rad, m.
 
 It is built at the start, and uses of the code that may have failed only the text of a reply, copied beforehand.
 """
@@ -37,7 +37,7 @@ class BareProtocol:
 
 
 class LastResort:
-    """Stores what was sent; after `begin` answers in the gateway's place, where a controller expects answers.
+    """Stores the replies sent; after `begin` answers in the gateway's place.
 
     `target` and `stamp` are those of the last reply; `ending`: once at rest, replies end the controller's program.
     """
@@ -70,11 +70,11 @@ class LastResort:
         self._missed = missed or 0
 
     def set_templates(self, holding: bytes, ending: bytes) -> None:
-        """Store the texts of replies that leave a tool's outputs as they were sent last: not ending the program, and ending it."""
+        """Store reply templates with the tool's outputs as sent last, without and with the end of the program."""
         self._texts = holding, ending
 
     def begin(self) -> None:
-        """Begin to answer: with the last step that was commanded."""
+        """Begin braking from the last commanded step."""
         if len(self._last_acknowledged) == len(self.target):
             self._step = tuple([new - old for new, old in zip(self.target, self._last_acknowledged)])
         else:
@@ -82,7 +82,7 @@ class LastResort:
 
     @property
     def at_rest(self) -> bool:
-        """True when the target changes no more."""
+        """Whether the target is constant."""
         return not any(self._step)
 
     @property
@@ -91,7 +91,7 @@ class LastResort:
         return self.ending and self.at_rest and not self._over and bool(self.target)
 
     def stamp_of(self, data: bytes, source: object) -> int | None:
-        """Return the stamp of a datagram to be answered; None when it is an old one, or not from the session's controller."""
+        """Return the stamp of a datagram to be answered; None: an old one, or another source."""
         if self._over or self._bare is None or source != self._source or len(data) > MAX_TELEGRAM:
             return None
         stamp = self._bare.stamp(data)
@@ -103,7 +103,7 @@ class LastResort:
         return stamp_step(other, stamp, _LONGEST_STEP) > 0
 
     def rewind_if_lost(self, stamp: int, data: bytes) -> bool:
-        """Go back to what the controller has if a telegram says that the last reply was lost; return whether it does."""
+        """Return to the acknowledged target if a telegram reports a lost reply; return whether it did."""
         missed = self._bare.missed(data) if self._bare is not None else None
         if missed is None:
             return False
@@ -116,7 +116,7 @@ class LastResort:
         return lost
 
     def answer(self, stamp: int) -> bytes | None:
-        """Brake on by one step and return the reply to a telegram that `stamp_of` found; None when the session is over."""
+        """Brake by one step and return the reply; None when the session is over."""
         elapsed = stamp_step(self.stamp, stamp, _LONGEST_STEP)
         if self._bare is None or (elapsed > LONGEST_GAP_MS and any(self.target)):
             self._over = True

@@ -19,7 +19,7 @@ from construction_twin.core.limits import MotionLimits
 
 
 class Layout(Protocol):
-    """What is fixed about the telegrams of one controller. It is a frozen dataclass."""
+    """The telegram layout of one controller; a frozen dataclass."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
@@ -33,7 +33,7 @@ class Layout(Protocol):
 
     @property
     def answered(self) -> bool:
-        """False: the controller expects no answers and takes nothing."""
+        """Whether the controller expects replies."""
 
     @property
     def stop(self) -> bool:
@@ -49,19 +49,19 @@ class Layout(Protocol):
 
     @property
     def not_filled(self) -> tuple[str, ...]:
-        """Channels that no reply fills, for people."""
+        """Declared channels of a reply that stay empty."""
 
     @property
     def summary(self) -> str:
-        """What is written in telegrams, for people: the few words that a person compares with the controller's file."""
+        """Short description of the telegrams, to be compared with the controller's file."""
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Outputs of a tool that telegrams tell."""
+        """A tool's outputs in telegrams."""
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Inputs of a tool that telegrams tell."""
+        """A tool's inputs in telegrams."""
 
 
 #: The layout of one make: what its functions return they take again, so that mypy checks a make as a whole.
@@ -110,7 +110,7 @@ class ControllerStatus(Protocol):
 
     @property
     def sentence(self) -> str:
-        """Why the arm may not move, or not as expected; "": nothing of this kind is known."""
+        """Why the arm is stopped or limited; "": unknown."""
 
     def status_fields(self) -> dict[str, str | float]:
         """Return its fields of `status`; {}: nothing is known."""
@@ -159,18 +159,18 @@ class SessionRules(Protocol):
     follows: bool
 
     def drift_sentence(self, distance: str) -> str:
-        """Return the sentence on how far an axis is off where it was programmed."""
+        """Return the sentence for an axis off its programmed position."""
 
     def begin(self) -> None:
         """Forget the session before."""
 
     def origin(self, telegram: Telegram) -> tuple[tuple[float, ...], str]:
-        """Return what targets are relative to, () while it is not known, and why the session must not be answered ("": it may)."""
+        """Return the origin of corrections, () while unknown, and why the session must stay unanswered ("": answer it)."""
 
     def restart_sign(
         self, telegram: Telegram, origin: tuple[float, ...], correction: tuple[float, ...], moving: bool
     ) -> str:
-        """Return what shows, where cycles are missing, that a session was begun anew faster than silence tells; "" for nothing.
+        """Return the sign of a restart that was shorter than the timeout of silence; "" for none.
 
         `correction` is that of the last reply, () for none; `moving`: it is being changed.
         """
@@ -178,7 +178,7 @@ class SessionRules(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class MockStatus:
-    """Status of a mock in the make's numbers, override in percent; None: as it is. `slow`: its tool speed is limited."""
+    """Status of a mock in the make's numbers, override in percent; None: unchanged. `slow`: its tool speed is limited."""
 
     mode: int | None = None
     program: int | None = None

@@ -1,4 +1,4 @@
-"""A tool as gateway and controller know it: its outputs and inputs, and what telegrams tell of them."""
+"""A tool at gateway and controller: outputs, inputs and their readings in telegrams."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _is_name = re.compile(r"[a-z][a-z0-9_]{0,23}").fullmatch
 
 
 def is_tool_name(name: str) -> bool:
-    """Return whether an output or input of a tool can be called so."""
+    """Return whether a name is valid for a tool's output or input."""
     return _is_name(name) is not None
 
 
@@ -44,7 +44,7 @@ class GatewayTool:
 
 @dataclass(frozen=True, slots=True)
 class ToolReading:
-    """What a telegram tells of a tool, in the order of the reader's names."""
+    """A tool's signals in a telegram, in the order of the reader's names."""
 
     outputs: tuple[bool, ...]
     inputs: tuple[bool, ...]

@@ -26,7 +26,7 @@ def iso_time(now: int) -> str:
 
 
 def read_lines(path: str | Path) -> list[dict]:
-    """Return the lines of a file that another process may be writing, without a last one that has no end."""
+    """Return the complete lines of a file that another process may be writing."""
     content = _read(Path(path))
     lines = []
     for number, line in enumerate(content[: content.rfind(b"\n") + 1].split(b"\n")[:-1], start=1):
@@ -76,7 +76,7 @@ class AppendOnlyFile:
             raise ConfigurationError(str(self.path), str(error), f"a file that no other {writer} writes") from error
 
     def defer(self, now: int, fields: dict) -> None:
-        """Queue a line of this time since 1970 [ns] for the next `flush`; does not touch the disk."""
+        """Queue a line with its time since 1970 [ns] for `flush`."""
         if len(self._deferred) >= MAX_DEFERRED:
             # no verdict is taken meanwhile: `append` writes these first, and fails
             self._lost_at = now
@@ -85,7 +85,7 @@ class AppendOnlyFile:
         self._deferred.append((now, fields))
 
     def flush(self) -> None:
-        """Write what was deferred; after the error of `failure` it stays deferred."""
+        """Write queued lines; on error they stay queued."""
         with self._lock:
             while self._deferred:
                 self._append(*self._deferred[0])
@@ -97,7 +97,7 @@ class AppendOnlyFile:
                 self._reported += number
 
     def append(self, now: int, fields: dict) -> None:
-        """Write one line, behind those that were deferred, to the disk; after the error of `failure` no part of it is there."""
+        """Write queued lines, then this one, to the disk; on error nothing of it remains."""
         self.flush()
         with self._lock:
             self._append(now, fields)
@@ -122,7 +122,7 @@ class AppendOnlyFile:
         self.lines += 1
 
     def _check_in_place(self) -> None:
-        """What is written to a file that was removed or replaced is on no disk."""
+        """Check that the file was neither removed nor replaced."""
         try:
             there, here = os.stat(self.path), os.fstat(self._file)
         except OSError as error:

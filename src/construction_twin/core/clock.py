@@ -1,4 +1,4 @@
-"""The clock of searches and plans where a caller gives none."""
+"""The default clock of searches and plans."""
 
 from __future__ import annotations
 

@@ -10,10 +10,10 @@ from construction_twin.core.errors import ConfigurationError
 
 
 class Parser(argparse.ArgumentParser):
-    """As argparse's, with an error that whoever runs the program says once, in place of exit code 2 and a usage."""
+    """An ArgumentParser that raises ConfigurationError in place of exit code 2."""
 
     def error(self, message: str) -> NoReturn:
-        """Raise a ConfigurationError: what argparse says is wrong."""
+        """Raise argparse's message as ConfigurationError."""
         raise ConfigurationError(f"the options of {self.prog}", message, f"those of {self.prog} --help")
 
     def options(self, argv: list[str] | None) -> argparse.Namespace:

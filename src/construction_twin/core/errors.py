@@ -19,7 +19,7 @@ _MOST_SHOWN = 300
 
 
 def found_and_expected(where: str, value: object, expected: str) -> str:
-    """Return the sentence of what stands somewhere, and what would have been accepted there; a value None: nothing."""
+    """Return the sentence of a wrong value and what was expected; value None: missing."""
     found = "nothing" if value is None else repr(value)
     if len(found) > _MOST_SHOWN:
         found = f"{found[: _MOST_SHOWN - 3]}..."
@@ -27,7 +27,7 @@ def found_and_expected(where: str, value: object, expected: str) -> str:
 
 
 class ConfigurationError(ConstructionTwinError):
-    """A parameter, file or robot description does not make sense; `value` None: there is nothing."""
+    """A parameter, file or robot description is invalid; `value` None: missing."""
 
     def __init__(self, where: str, value: object, expected: str):
         self.where, self.value, self.expected = where, value, expected
@@ -35,7 +35,7 @@ class ConfigurationError(ConstructionTwinError):
 
 
 class FileError(ConstructionTwinError):
-    """A file cannot be read or written; says why, and what to do. `path` "": the system did not say."""
+    """A file cannot be read or written; `path` "": unknown."""
 
     def __init__(self, path: str, error: OSError | UnicodeDecodeError):
         self.path = path
@@ -63,12 +63,12 @@ _FILE_PROBLEMS = {
 
 
 def system_message(error: Exception) -> str:
-    """Return what went wrong as the system says it, without the number and file name of an OSError."""
+    """Return an OSError's text without number and file name."""
     return getattr(error, "strerror", None) or str(error)
 
 
 def command_message(error: Exception) -> str:
-    """Return an error as a command says it: that of a file as `FileError`, any other as it is."""
+    """Return an error's text for a terminal: an OSError's as `FileError`."""
     if isinstance(error, OSError):
         # two names: of a file that was renamed, or linked
         return str(FileError(" -> ".join(str(name) for name in (error.filename, error.filename2) if name), error))
@@ -80,11 +80,11 @@ class ReviewError(ConstructionTwinError):
 
 
 class ExpiredError(ReviewError):
-    """A person's approval is void, because what the person saw was too long ago (`core.freshness`)."""
+    """A person's approval is older than its lifetime (`core.freshness`)."""
 
 
 class RecordError(ReviewError):
-    """A verdict cannot be recorded, and what is not recorded is not carried out."""
+    """A verdict is refused because it cannot be recorded."""
 
     def __init__(self, path: str, problem: str):
         super().__init__(
@@ -139,7 +139,7 @@ class TelegramError(ProtocolError):
 
 
 class PoseUnknownError(ConstructionTwinError):
-    """The robot's pose is not published, or not any more."""
+    """The robot's pose is missing or stale."""
 
     def __init__(self, topic: str, age: float, oldest: float):
         found = "nothing was received" if age == float("inf") else f"the last one is {age:.3f} s old"
@@ -149,11 +149,11 @@ class PoseUnknownError(ConstructionTwinError):
 
 
 class RequestRefused(ConstructionTwinError):
-    """The running system has answered a request with no; the message is its own sentence."""
+    """The running system refused a request; the message is its answer."""
 
 
 class SilenceError(ConstructionTwinError):
-    """There is no answer: the system is not running, or not under this name."""
+    """No answer: the system is down, or has another name."""
 
     def __init__(self, where: str, problem: str, to_do: str):
         super().__init__(f"{where}: {problem}; {to_do}")

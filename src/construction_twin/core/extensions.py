@@ -20,7 +20,7 @@ PACKAGES = {
 
 
 class ExtensionAbsent(ConfigurationError):
-    """This installation is without an extension."""
+    """An extension is missing in this installation."""
 
 
 def import_extension(module: str) -> ModuleType:
@@ -36,7 +36,7 @@ def import_extension(module: str) -> ModuleType:
 
 
 def run_main(module: str, waits: bool = False) -> object:
-    """Run `main` of an extension's program; without the extension say so and return 2, or wait, as a node of a launch."""
+    """Run `main` of an extension's program; without the extension print that and return 2, or wait as a node."""
     try:
         main = import_extension(module).main
     except ExtensionAbsent as error:
@@ -55,7 +55,7 @@ def node_modules() -> dict[str, str]:
 
 
 def check_extras(group: str) -> None:
-    """Check that a group's packages are there. To be called before a module that needs them is imported."""
+    """Check that a group's packages are installed, before a module imports them."""
     missing = [name for name in PACKAGES[group] if importlib.util.find_spec(name) is None]
     if missing:
         which = "it is" if len(missing) == 1 else "they are"

@@ -1,4 +1,4 @@
-"""Files: from outside, read whole, or refused before they can do harm; and written whole, where that is possible."""
+"""Bounded reading of foreign files, and atomic writing."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def read_file(path: str | Path, most: int) -> bytes:
 
 
 def write_atomically(path: Path, contents: str | bytes) -> None:
-    """Write a file in one step: a reader sees the old contents or the new ones, never a part. Nothing else is left behind."""
+    """Write a file in one step: readers see the old or the new contents."""
     path.parent.mkdir(parents=True, exist_ok=True)
     # not with_name, which refuses "." with another error
     temporary = path.parent / f"{path.name}.{os.getpid()}.tmp"
@@ -36,7 +36,7 @@ def write_atomically(path: Path, contents: str | bytes) -> None:
 
 
 def write_in_place(path: Path, text: str, room: int) -> None:
-    """Write a short text over what a file holds, filled up with blanks to `room` [bytes], to the disk."""
+    """Overwrite a file's text on the disk, padded with blanks to `room` [bytes]."""
     data = text.encode().ljust(room)
     file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
     try:
@@ -49,7 +49,7 @@ def write_in_place(path: Path, text: str, room: int) -> None:
 
 
 def check_writable(folder: str | Path) -> None:
-    """Check, before a long computation, that files can be written into a folder, which need not exist yet."""
+    """Check, before a long computation, that a folder can be made and takes files."""
     folder = Path(folder).absolute()
     there = next(parent for parent in (folder, *folder.parents) if os.path.lexists(parent))
     try:

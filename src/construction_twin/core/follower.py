@@ -43,15 +43,15 @@ class Follower:
 
     @property
     def at_rest(self) -> bool:
-        """True when the last step was no step."""
+        """Whether the last step was zero."""
         return not any(self._step)
 
     def limit(self, fraction: float) -> None:
-        """Chase a target at no more than this fraction of the velocity limits, 0 to 1, or as fast as the target moves itself."""
+        """Limit the chase of a target to this fraction of the velocity limits, 0 to 1, or to the target's own speed."""
         self._chasing_speed = tuple(fraction * speed for speed in self._speed)
 
     def follow(self, target: tuple[float, ...]) -> tuple[float, ...]:
-        """Take one step towards `target` [rad] and return the new position [rad]."""
+        """Step towards `target` [rad] and return the new position [rad]."""
         position = []
         settling = False
         self._before = self.position
@@ -76,17 +76,17 @@ class Follower:
         return distances, max(math.ceil(abs(step) / budget) for step, budget in zip(self._step, self._budget))
 
     def rest(self) -> None:
-        """Take the arm to be standing at the present position, because it was not told to move on."""
+        """Set rest at the present position: the arm stands there."""
         self._step = [0.0] * len(self._step)
         self._target = list(self.position)
 
     def undo_step(self) -> None:
-        """Stand where the arm was before the last step, whose reply was lost."""
+        """Undo the last step, whose reply was lost, and rest there."""
         self.position = self._before
         self.rest()
 
     def brake(self) -> tuple[float, ...]:
-        """Take one step of braking within the limits and return the new position [rad]."""
+        """Brake by one step within the limits and return the new position [rad]."""
         self._before = self.position
         for index, step in enumerate(self._step):
             slower = max(0.0, abs(step) - self._budget[index])

@@ -50,7 +50,7 @@ def parse_moment(text: object) -> Moment:
 
 
 def staleness(seen: Moment, now: Moment) -> str:
-    """Return why what repeats the moment `seen` is void, as a sentence; "" while it may be carried out."""
+    """Return why a request with the moment `seen` is void; "" while it is valid."""
     if seen.origin != now.origin:
         return Sentence("void: it repeats a moment of another computer, or of before this one was started; look again")
     age = (now.at - seen.at) / NANOSECONDS
@@ -67,7 +67,7 @@ def staleness(seen: Moment, now: Moment) -> str:
 
 
 def is_newer(seen: Moment, act: Moment | None) -> bool:
-    """Return whether what was shown is of after an act; of another clock it is not, and without an act it is."""
+    """Return whether a shown moment is after an act, by the same clock; True without an act."""
     return act is None or (seen.origin == act.origin and seen.at > act.at)
 
 

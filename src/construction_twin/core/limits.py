@@ -35,7 +35,7 @@ class MotionLimits:
         return cls(robot.joint_names, robot.lower, robot.upper, robot.velocity, robot.acceleration, robot.linear)
 
     def last_digits(self, decimals: int) -> tuple[float, ...]:
-        """Return what the last decimal on the wire is worth, per joint [rad], [m]."""
+        """Return the value of the last decimal on the wire, per joint [rad], [m]."""
         return tuple(last_digit(decimals, slides) for slides in self.linear)
 
     def allowances(self, decimals: int, cycle: float = CYCLE) -> tuple[float, ...]:
@@ -116,7 +116,7 @@ class MotionCheck:
         self._velocity = (0.0,) * len(q)
 
     def accept(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Check the next setpoint by its nominal time [ns] and remember it; MotionRefused: nothing is remembered."""
+        """Check and store the next setpoint, by its nominal time [ns]; MotionRefused leaves the stream as it was."""
         self.limits.check_range(q)
         period = (stamp - self._stamp) / NANOSECONDS
         if period <= 0.0:

@@ -7,7 +7,7 @@ import socket
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether `host` is this machine itself, reached from nowhere else; of all names only ``localhost`` is known to be."""
+    """Return whether `host` is a loopback address, or ``localhost``."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:

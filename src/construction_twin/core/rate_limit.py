@@ -9,7 +9,7 @@ from construction_twin.core.units import NANOSECONDS
 
 
 class LineLimiter:
-    """At most one line per reason and period [ns]: a sender of rubbish must neither fill the disk nor hide other lines."""
+    """Limits a log to one line per reason and period [ns]."""
 
     def __init__(self, period: int = NANOSECONDS):
         self._period = period
@@ -17,7 +17,7 @@ class LineLimiter:
         self._lines: dict[str, tuple[int, int]] = {}
 
     def admit(self, reason: str, now: int) -> str | None:
-        """Return what to append to a line, or None: it must not be written. `reason`: one of few, never text from outside."""
+        """Return what to append to a line; None: suppress it. `reason`: one of few, never text from outside."""
         written, left_out = self._lines.get(reason, (now - self._period, 0))
         if now - written < self._period:
             self._lines[reason] = written, left_out + 1
@@ -50,14 +50,14 @@ class SenderLimits:
         self._times: dict[str, deque[int]] = {}
 
     def admit(self, sender: str, now: int) -> bool:
-        """Return whether it may happen for a sender at `now`, and count it if so."""
+        """Count an act of a sender at `now`; return False where its pace forbids it."""
         may = not self.waiting_time(sender, now)
         if may:
             self._times.setdefault(sender, deque()).append(now)
         return may
 
     def waiting_time(self, sender: str, now: int) -> float:
-        """Return how long it may not happen for a sender from `now` on [ns]; 0: it may."""
+        """Return how long a sender has to wait from `now` on [ns]."""
         if sender not in self._times and len(self._times) >= MOST_SENDERS:
             self._times = {name: times for name, times in self._times.items() if now - times[-1] < self._span}
             if len(self._times) >= MOST_SENDERS:

@@ -49,7 +49,7 @@ def _let_sleep() -> None:
 
 
 def lock_memory() -> str:
-    """Keep what is in this process's memory now from being paged out; return one sentence for the log."""
+    """Lock this process' present memory into RAM; return one sentence for the log."""
     if sys.platform != "linux":
         return "memory not locked: this system has no mlockall"
     libc = ctypes.CDLL(None, use_errno=True)

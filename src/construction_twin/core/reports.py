@@ -91,7 +91,7 @@ class LinkReport:
 
     @property
     def late(self) -> int | None:
-        """How many replies came too late at the controller; None when the gateway has not said anything."""
+        """Number of late replies at the controller; None: unknown."""
         # a counter appears with its first use
         return int(self.gateway_counters.get("late_replies", "0")) if self.gateway_counters else None
 
@@ -224,13 +224,13 @@ class SwitchState(Enum):
 
     @property
     def word(self) -> str:
-        """As the gateway's `status` has it."""
+        """The word of the gateway's `status`."""
         return self.name.lower()
 
 
 @dataclass(frozen=True)
 class SwitchReport:
-    """What the gateway says of one switch: its state, and one sentence."""
+    """The gateway's report on one switch."""
 
     state: SwitchState
     reason: str = ""
@@ -238,7 +238,7 @@ class SwitchReport:
 
 @dataclass(frozen=True)
 class ToolReport:
-    """What is known of the tool: `ToolState.msg`, whose lists belong together."""
+    """The tool's state: `ToolState.msg`, whose lists belong together."""
 
     known: bool = False
     tool: str = ""
@@ -248,7 +248,7 @@ class ToolReport:
     reason: str = NO_REPORT
 
     def mismatch(self, signals: Iterable[Any]) -> str:
-        """Return why the inputs do not read what `Signal`s say, or are not known to, as a clause; "" when they do."""
+        """Return in a clause which input is unknown, or differs from its `Signal`; "" for none."""
         signals = tuple(signals)
         if not signals:
             return ""
@@ -264,7 +264,7 @@ class ToolReport:
         return ""
 
     def why_unknown(self) -> str:
-        """Return why nothing is known of the tool, as a clause; "" when it is known."""
+        """Return in a clause why the tool's state is unknown; "" when it is known."""
         return (
             "" if self.known else Sentence("the tool's state is not known: {reason}", reason=self.reason or NO_REPORT)
         )

@@ -66,7 +66,7 @@ def join_sentences(*sentences: str) -> str:
 
 
 def replace_part(text: str, part: str, other: str) -> str:
-    """Return a sentence with another one in the place of the part that it has as a value."""
+    """Replace a part of a sentence, in its values too."""
     if text == part or not isinstance(text, Sentence):
         return other if text == part else text
     items = text.values.items()

@@ -1,4 +1,4 @@
-"""The package's files that are no modules: below a checkout's root, or ``share/construction_twin`` where it is installed."""
+"""Paths of the package's data files: below a checkout's root, or ``share/construction_twin`` where it is installed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def share_file(path: str) -> Path:
 
 @cache
 def share_folder() -> Path:
-    """Return the folder that holds them; in a copy of the modules alone, the one that would."""
+    """Return the folder of the data files, existing or not."""
     here = Path(__file__).resolve()
     checkout = here.parents[3]
     places = (checkout, *(above / "share" / NAME for above in here.parents))

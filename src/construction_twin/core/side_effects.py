@@ -1,4 +1,4 @@
-"""What runs beside an act that must not fail: a report, a record, a forecast.
+"""Reports and records beside a safety act, whose failure leaves the act alone.
 
 A safety act (stop, stop_plan, pause, halt, reject) is carried out and answered whatever fails here, and never runs here.
 """
@@ -22,7 +22,7 @@ _Result = TypeVar("_Result")
 
 @dataclass(frozen=True)
 class Failure:
-    """What failed beside an act."""
+    """A failure beside an act."""
 
     what: str
     error: Exception
@@ -40,12 +40,12 @@ class Failure:
 
     @property
     def trace(self) -> str:
-        """The traceback. It reads source files: not for a thread that must not wait for a disk."""
+        """The traceback, which reads source files (background thread only)."""
         return "".join(traceback.format_exception(self.error))
 
 
 class SideEffects:
-    """Runs what may fail beside an act, and keeps count of what did. Used by several threads; waits for none of them."""
+    """Runs parts that may fail, and counts their failures. Thread-safe, without waiting."""
 
     def __init__(self):
         self._lock = threading.Lock()
@@ -54,7 +54,7 @@ class SideEffects:
         self._last = ""
 
     def run(self, what: str, part: Callable[..., _Result], *arguments: object) -> _Result | None:
-        """Return what a part returns; None after an unexpected exception, which is counted by `what` and kept for the log."""
+        """Run a part and return its result; None after an unexpected exception, which is counted by `what`."""
         try:
             return part(*arguments)
         except Exception as error:  # noqa: BLE001 (beside an act nothing may fail; each is counted)
@@ -66,7 +66,7 @@ class SideEffects:
             return None
 
     def pop_failures(self) -> list[Failure]:
-        """Return what has failed since the last call, oldest first, to be written to a log."""
+        """Return the failures since the last call, oldest first, for a log."""
         with self._lock:
             failures = list(self._unwritten)
             self._unwritten.clear()
@@ -74,11 +74,11 @@ class SideEffects:
 
     @property
     def unwritten(self) -> bool:
-        """Whether something has failed since the last `pop_failures`."""
+        """Whether failures wait for the log."""
         return bool(self._unwritten)
 
     def write(self, log: Callable[[str, str], object], failures: list[Failure] | None = None) -> None:
-        """Write failures, by default those of `pop_failures`, to a log as `rospy.logerr`; not for a thread that must not wait."""
+        """Write failures, by default those of `pop_failures`, to a log as `rospy.logerr` (background thread only)."""
         failures = self.pop_failures() if failures is None else failures
         for failure in failures:
             self.run("the log", log, "%s", f"{failure.sentence}\n{failure.trace}")

@@ -10,7 +10,7 @@ from construction_twin.core.units import NANOSECONDS
 
 
 class LimitState(Enum):
-    """Why the limit is what it is."""
+    """Source of the present limit."""
 
     UNLIMITED = "unlimited"
     MISSING = "missing"
@@ -32,11 +32,11 @@ class SpeedLimit:
         self.update(0)
 
     def record(self, fraction: float, name: str, now: int) -> None:
-        """Store what a source asks for until the deadline; the caller has checked both."""
+        """Store a limit that the caller has checked."""
         self.fraction, self.name, self._received_at = fraction, name, now
 
     def accept(self, fraction: float, name: str, now: int, words: str = "", sentence: str = "") -> None:
-        """Check and store what a source asks for, unless another one is fresh: two in turns would change the speed all the time.
+        """Check and store a source's limit; refuse it while another source is fresh.
 
         `words` say why; `sentence` replaces the one made of them. PayloadError (``speed_limit``, ``speed_limit_source``): nothing
         changed.
@@ -64,12 +64,12 @@ class SpeedLimit:
         return bool(self.name) and now - self._received_at <= self._deadline_ns
 
     def is_silent(self, now: int) -> bool:
-        """Return whether a source was heard once, and has been silent for longer than the deadline at `now` [ns]."""
+        """Return whether a known source has exceeded the deadline at `now` [ns]."""
         return bool(self.name) and not self.is_fresh(now)
 
     @property
     def fraction_when_silent(self) -> float:
-        """What counts once the source is silent: its silence never lifts the limit that it gave last."""
+        """The limit during silence: at most the source's last one."""
         return min(self._silent, self.fraction)
 
     def update(self, now: int) -> float:

@@ -7,7 +7,7 @@ MAX_DRIFT = 100e-6
 
 
 class TravelTime:
-    """By how much the members of one stream travel longer than the quickest one.
+    """Excess travel time of a stream's messages over the quickest one.
 
     The smallest difference between reception and stamp is the reference; it grows by `MAX_DRIFT`, to follow clocks that drift
     apart.
@@ -17,7 +17,7 @@ class TravelTime:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the quickest one: the sender's clock may be another."""
+        """Forget the quickest one: the sender's clock may have changed."""
         self._shortest: int | None = None
         self._at = 0
 
@@ -28,7 +28,7 @@ class TravelTime:
         return received - stamp - self._shortest - round((received - self._at) * MAX_DRIFT)
 
     def record(self, stamp: int, received: int) -> int:
-        """Return the same, itself included; 0 for one that is at least as quick as all before it: it is the new reference."""
+        """Store a message and return its `excess`; the quickest one is the new reference."""
         travelled = received - stamp
         if self._shortest is None:
             shortest = travelled

@@ -36,7 +36,7 @@ def bind(host: str, port: int) -> socket.socket:
 
 
 def enable_timestamps(sock: socket.socket) -> bool:
-    """Let the kernel stamp the datagrams that come, which `receive` returns then; return whether it can (Linux)."""
+    """Enable the kernel's arrival stamps for `receive`; return whether there are any (Linux)."""
     if sys.platform != "linux":
         return False
     sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)

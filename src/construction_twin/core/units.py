@@ -67,7 +67,7 @@ def display_text(value: float, unit: str) -> str:
 
 
 def last_digit(decimals: int, linear: bool = False) -> float:
-    """Return what one unit of the last decimal of a joint string's field is worth: of deg [rad], of mm where it is linear [m]."""
+    """Return the value of a joint string's last decimal: of deg [rad], where it is linear of mm [m]."""
     return 10.0**-decimals / 1e3 if linear else math.radians(10.0**-decimals)
 
 
@@ -77,6 +77,6 @@ def format_allowance(decimals: int, linear: bool = False, cycle: float = CYCLE) 
 
 
 def axis_name(joint: str) -> str:
-    """Return what a person at the arm calls a joint: ``A3`` for ``joint_a3``; another name stays."""
+    """Return a joint's name on the pendant: ``A3`` for ``joint_a3``; another name stays."""
     found = _AXIS.fullmatch(joint)
     return found[1].upper() if found else joint

@@ -1,4 +1,4 @@
-"""What is wrong with a document, from a pydantic error: key, value, what is allowed, and the key that was mistyped."""
+"""Sentences from pydantic's errors: key, value, what is allowed, and the key that was mistyped."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _KINDS = {
 
 @dataclass(frozen=True)
 class WrongValue:
-    """The first thing that is wrong: keys and positions from the top with ``/`` between; a value that is missing is None."""
+    """The first wrong value: keys and positions from the top with ``/`` between; value None: missing."""
 
     key: str
     value: object
@@ -55,7 +55,7 @@ class WrongValue:
 
 
 def wrong_value(error: Any, schema: Schema) -> WrongValue:
-    """Return what is wrong by a pydantic.ValidationError of a model with this JSON Schema."""
+    """Return the first wrong value of a pydantic.ValidationError; `schema`: the model's."""
     objects = list(_objects(schema))
     known = {name for each in objects for name in each.get("properties", ())}
     tags = {tag for each in objects for tag in _tags(each)} - known
@@ -74,7 +74,7 @@ def wrong_value(error: Any, schema: Schema) -> WrongValue:
 
 
 def configuration_error(error: Any, model: Any, where: str = "") -> ConfigurationError:
-    """Return the typed error of what is wrong with a document of a pydantic model."""
+    """Convert a pydantic.ValidationError to a ConfigurationError."""
     wrong = wrong_value(error, model.model_json_schema())
     return ConfigurationError("/".join(filter(None, (where, wrong.key))), wrong.value, wrong.expected)
 

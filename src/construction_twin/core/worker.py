@@ -1,4 +1,4 @@
-"""Processes, of lower priority, that work for another one: neither a broken file nor a long search holds that up."""
+"""Worker processes of lower priority, for broken files and long searches."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _ENDING = 5.0
 
 
 class WorkerError(ConstructionTwinError):
-    """What was asked of the process failed: the error there by its class, "" where the process ended, and its sentence."""
+    """A call in the worker failed: the error's class, "" where the process ended, and its sentence."""
 
     def __init__(self, kind: str, sentence: str):
         self.kind = kind
@@ -46,14 +46,14 @@ class Worker:
         self._first: tuple[str, dict[str, Any]] | None = None
 
     def ask_first(self, name: str, **arguments: Any) -> Any:
-        """As `ask`; if the process has to be started anew, it is asked this again before anything else."""
+        """As `ask`; asked again first after each restart of the process."""
         self._first = None
         answer = self.ask(name, **arguments)
         self._first = name, arguments
         return answer
 
     def ask(self, name: str, **arguments: Any) -> Any:
-        """Have a function called there; return its result."""
+        """Call a function in the worker; return its result."""
         with self._busy:
             try:
                 answer = self._answer(name, arguments)
@@ -72,7 +72,7 @@ class Worker:
             process.kill()
 
     def close(self) -> None:
-        """End the process, whatever it does."""
+        """End the process at once."""
         self._end()
 
     def _answer(self, name: str, arguments: dict[str, Any]) -> dict[str, Any]:
@@ -99,7 +99,7 @@ class Worker:
         return answer
 
     def _end(self, patience: float = 0.0) -> int:
-        """End the process; one that ends by itself has so long for it [s], so that its own exit code is told."""
+        """End the process, after `patience` [s] for an end of its own; return the exit code."""
         process, self._process = self._process, None
         if process is None:
             return 0

@@ -195,7 +195,7 @@ def messages_of(bag: Bag, robot: str, wanted: Iterable[str] = TOPICS) -> dict[st
 
 
 class _Run:
-    """What was read of one robot's run."""
+    """Messages of one robot's run."""
 
     def __init__(self, robot: str, messages: dict[str, list[tuple[int, Any]]]):
         self._robot = robot
@@ -227,7 +227,7 @@ class _Run:
         )
 
     def _changes(self) -> tuple[StateChange, ...]:
-        """Return when the reported states became others; what a report says first counts too."""
+        """Return the changes of the reported states, the first report included."""
         changes = []
         for topic, source in REPORTS.items():
             before = None

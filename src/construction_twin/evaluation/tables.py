@@ -181,7 +181,7 @@ def render_tables(summary: Mapping, console: Console | None = None) -> None:
 
 
 def summary_lines(summary: Mapping) -> list[str]:
-    """Return the sentences that stand below the tables."""
+    """Return the sentences below the tables."""
     fact_lines = [f"{name}: {value}" + (f" (paper {paper})" if paper else "") for name, value, paper in facts(summary)]
     rates = "rates: " + "   ".join(f"{name} {shown(rate, '.3f')} Hz" for name, rate in summary["rate_hz"].items())
     times = [_times("round trip", summary["round_trip_ms"], "ms"), _times("RSI reply time", summary["reply_us"], "us")]
@@ -189,7 +189,7 @@ def summary_lines(summary: Mapping) -> list[str]:
 
 
 def remarks(summary: Mapping) -> list[str]:
-    """Return what is said beside the figures: what kind of arm they are of, and that nothing moved."""
+    """Return remarks on the figures: the kind of arm, and a run without motion."""
     return [*([] if summary["moved"] else [NO_MOTION]), SIMULATION if summary["mock"] else ARM_UNKNOWN]
 
 

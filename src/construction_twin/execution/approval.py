@@ -1,4 +1,4 @@
-"""What needs a fresh word of a person: an approval, a resume, the release of an engaged arm. Pure; record and clock are arguments.
+"""Acts that need a person's fresh consent: approval, resume, release of an engaged arm. Pure; record and clock are arguments.
 
 An approval, or a release, is examined, recorded, and only then carried out; a rejection is carried out at once, and its record
 follows: no disk stands before a person's no.
@@ -41,18 +41,18 @@ VERDICT_TIMEOUT = NANOSECONDS // 2
 
 
 class ConflictVerdicts:
-    """The newest verdict on a plan by the watch over the robot `name`; "": there is none. `now` is on one clock [ns]."""
+    """The newest verdict of the watch over the robot `name` ("": none) on a plan. `now` is on one clock [ns]."""
 
     def __init__(self, name: str = ""):
         self.name = name
         self._plan_id, self._obstacle, self._at = "", "", 0
 
     def on_verdict(self, plan_id: str, problem: str, now: int) -> None:
-        """Store a verdict: why a plan must not be played; empty: its path is free."""
+        """Store a verdict: the conflict of a plan; empty: its path is free."""
         self._plan_id, self._obstacle, self._at = plan_id, problem, now
 
     def obstacle(self, plan_id: str, now: int) -> str:
-        """Return why a plan must not start, as one sentence; empty: nothing is against it."""
+        """Return the sentence against a plan's start; empty for none."""
         if not self.name:
             return ""
         if self._plan_id != plan_id:
@@ -64,7 +64,7 @@ class ConflictVerdicts:
 
 @dataclass(frozen=True)
 class AutoApproval:
-    """Which plans need no person: by their sources, or the names of clients that these end with.
+    """Automatic approval of plans by their sources, or by the clients' names that these end with.
 
     Whoever asks for a plan chooses these words: they are no proof of who it was.
     """
@@ -73,7 +73,7 @@ class AutoApproval:
     sources: tuple[str, ...] = ()
 
     def reason(self, source: str) -> str:
-        """Return why a plan of this source needs no person, for the record; "" when it needs one."""
+        """Return the reason for an automatic approval, for the record; "": a person decides."""
         if self.every:
             return Sentence("the launch argument auto_approve is on")
         for name in self.sources:
@@ -135,7 +135,7 @@ class Approval:
         self._waiting, self._waits_since = "", 0
 
     def offer(self, plan: Plan) -> None:
-        """Put a plan under review; tell of one that cannot be (ReviewError) that it is withdrawn: displays take it away then."""
+        """Put a plan under review; a refused one (ReviewError) is reported as withdrawn, so that displays remove it."""
         try:
             if plan.asked.origin != self._started.origin:
                 raise ReviewError(
@@ -287,7 +287,7 @@ class Approval:
     # -- what is against it
 
     def update_obstacle(self) -> None:
-        """Find anew why the plan under review could not be approved now, and whether only its rehearsal is against it."""
+        """Update the obstacle to an approval now, and whether an override of the rehearsal would remove it."""
         with self._lock:
             plan = self._executor.under_review.plan
             self.obstacle, self.overridable = "", False
@@ -303,7 +303,7 @@ class Approval:
                     return
 
     def is_ready(self) -> bool:
-        """Return whether a plan is under review and nothing that passes by itself is against approving it. Under the lock."""
+        """Return whether the plan under review has no obstacle that passes by itself. Under the lock."""
         executor, review = self._executor, self._executor.under_review
         plan, back = review.plan, executor.engagement.is_way_back
         idle = executor.state is ExecutorState.IDLE and executor.sync is SyncState.IN_SYNC and not executor.unarmed
@@ -344,7 +344,7 @@ class Approval:
         check_start_pose(plan, executor.setpoint, executor.robot)
 
     def _rehearsal_obstacle(self, plan: Plan) -> str:
-        """Return why its rehearsal is against a plan; empty: it is not. The way back of an engaged arm needs none."""
+        """Return the rehearsal's objection to a plan; empty for none, and for the way back."""
         return "" if self._executor.engagement.is_way_back(plan) else self.rehearsal.obstacle(plan)
 
     def _releasable(self) -> Engagement:
@@ -371,7 +371,7 @@ class Approval:
         return Verdict(APPROVED if approve else REJECTED, plan.id, plan.hash, reviewer, reason, plan, rehearsal)
 
     def _check_override(self, plan: Plan, plan_hash: str, reason: str, seen: str) -> None:
-        """Raise ReviewError when there is nothing to override, or it is not what was seen, or the reviewer does not say why."""
+        """Check an override: a result that needs one, the same that was seen, and a reason."""
         problem = self._rehearsal_obstacle(plan)
         if not problem:
             raise ReviewError(
@@ -389,7 +389,7 @@ class Approval:
             raise ReviewError(Sentence("to override the rehearsal of plan {plan}, say why", plan=plan.id))
 
     def _time_left(self, moment: Moment) -> tuple[int, str]:
-        """Return how long a person's word may still wait for motion [ns], and why that is over; "" while it is not."""
+        """Return how long an approval may still wait for motion [ns], and why it has expired; "" while it has not."""
         now = self._clock()
         return LIFETIME - (now.at - moment.at), staleness(moment, now)
 
@@ -400,7 +400,7 @@ class Approval:
         return left
 
     def _begin_approved(self, verdict: Verdict, moment: Moment) -> None:
-        """Begin what an approval that was recorded is for, if it still may."""
+        """Begin the plan of a recorded approval, after a second check."""
         left, known = self._approval_time_left(moment), verdict.rehearsal
         override = known.hash if known is not None and known.overridden else None
         self._examine(verdict.plan_id, verdict.plan_hash, True, verdict.reviewer, verdict.reason, override)

@@ -82,7 +82,7 @@ def engagement_of(plan: Plan, number: int) -> Engagement:
 
 
 def holding_of(segment: Segment) -> Holding:
-    """Return what the tool's inputs may read inside of a segment or at its end, and the scenes that belong to that."""
+    """Return the possible readings of the tool's inputs in a segment and at its end, with their scenes."""
     if not segment.switches:
         return tuple((segment.requires, scene) for scene in dict.fromkeys((segment.scene, segment.scene_after)))
     after = tuple(signal for switch in segment.switches for signal in switch.confirm)
@@ -91,7 +91,7 @@ def holding_of(segment: Segment) -> Holding:
 
 
 class EngagementStore:
-    """Which engagement there is, and which of it is on the disk, where the executor before this one may have left one.
+    """The present engagement, and the one on the disk, which outlasts the executor.
 
     Attributes:
         present: What must be on the disk. A segment that is engaged is entered only when it is.
@@ -112,7 +112,7 @@ class EngagementStore:
 
     @property
     def sentence(self) -> str:
-        """Where the arm was left and what to do; empty where it is not engaged."""
+        """Where the arm was left and what to do; empty: not engaged."""
         left = self.left
         if left is None:
             return ""
@@ -146,7 +146,7 @@ class EngagementStore:
         self.present, self.engaged = None, False
 
     def on_pose(self, pose: Sequence[float]) -> None:
-        """Clear at the first pose, shape (n,), where it is at the beginning of the path: such an arm is not inside."""
+        """Clear the engagement where the first pose, shape (n,), is at the beginning of its path."""
         if not self._pose_unknown or self.present is None:
             return
         self._pose_unknown = False
@@ -191,7 +191,7 @@ def write_engagement(path: Path, engagement: Engagement | None) -> None:
 
 
 def read_engagement(path: Path, joint_names: Sequence[str]) -> Engagement | None:
-    """Return what the file says; None without one. Of a ConfigurationError nobody knows whether the arm is engaged."""
+    """Read the engagement file; None: no file. ConfigurationError: unknown whether the arm is engaged."""
     try:
         fields = json.loads(read_file(path, MOST))
         if fields["version"] != VERSION or fields["joints"] != list(joint_names):

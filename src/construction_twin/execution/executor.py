@@ -30,7 +30,7 @@ TWIN_TIMEOUT = NANOSECONDS // 2
 
 
 class Executor(ExecutorMachine):
-    """Plays approved plans as theta_next: `step` is the cycle; what comes from outside and what persons ask for become events.
+    """Plays approved plans as theta_next: `step` is the cycle; inputs and requests become events.
 
     `unarmed`: why the arm is not armed, empty: it is; `rested`: the newest stop or pause [ns of the robot's clock], or -1.
     """
@@ -100,7 +100,7 @@ class Executor(ExecutorMachine):
         return self.setpoint
 
     def _waits_for(self) -> str:
-        """Return why a plan that was approved stands at its beginning."""
+        """Return what an approved plan waits for at its beginning."""
         if self.state is ExecutorState.HELD:
             return Sentence("the gate holds ({state})", state=self.sync.name)
         if self.state is ExecutorState.AT_BOUNDARY:
@@ -110,28 +110,28 @@ class Executor(ExecutorMachine):
         return self.limit.reason if self.limit.fraction < 1.0 else Sentence("as its motion was due too late")
 
     def pop_orders(self) -> list[ToolOrder]:
-        """Return what is to be asked of the tool since the last call, in this order."""
+        """Return the orders to the tool since the last call."""
         orders, self.orders = self.orders, []
         return orders if self.segment_run is None else orders + self.segment_run.pop_orders()
 
     def pop_events(self) -> list[Verdict | ExecutionEnd]:
-        """Return what is new, to be published. Rejections are recorded already."""
+        """Return the new verdicts and ends, to be published; rejections are recorded already."""
         events, self.events = self.events, []
         return events
 
     def pop_act_flag(self) -> bool:
-        """Return whether a person's stop, pause or rejection is to be told of: since the last call, or while the arm brakes."""
+        """Return whether a person's stop, pause or rejection is to be reported: since the last call, or while braking."""
         acted, self._acted = self._acted, self._acted and self.state in _BRAKING
         return acted
 
     # -- what comes from outside
 
     def on_twin(self, stamp: int, q: tuple[float, ...], now: int) -> None:
-        """Take the twin's pose [rad], the stamp of the command it executes, and the time of reception [ns]."""
+        """Store the twin's pose [rad], the stamp of the command it executes, and the time of reception [ns]."""
         self._twin = TwinPose(stamp, q, now)
 
     def on_sync(self, state: SyncState, agreed: bool, policy: str = REPLAN, held_stamp: int = 0) -> None:
-        """Take the monitor's state; on anything but IN_SYNC the plan is held, or its rest is dropped.
+        """Store the monitor's state; on any but IN_SYNC hold the plan, or drop its rest.
 
         Only the policy ``resume`` keeps it: it waits at `held_stamp`, the last setpoint that passed [ns], and goes on by itself.
         """
@@ -159,7 +159,7 @@ class Executor(ExecutorMachine):
             self._on(ExecutorEvent.DISARMED, Sentence("the arm is no longer armed: {reason}", reason=reason))
 
     def on_scene(self, scene: str) -> None:
-        """Take the present scene's hash: what was planned for another one is withdrawn, stopped or ended."""
+        """Store the scene's hash; withdraw, stop or end a plan made for another scene."""
         scenes = {"before": self.under_review.scene[:12] or "none", "after": scene[:12]}
         withdrawn = self.under_review.on_scene(scene)
         self.record_withdrawal(withdrawn, Sentence("the scene changed from {before} to {after}; plan again", **scenes))
@@ -173,12 +173,12 @@ class Executor(ExecutorMachine):
             self._on(ExecutorEvent.LOST, reason)
 
     def on_conflict(self, plan_id: str, problem: str) -> None:
-        """Take what the watch over the other arm has against a plan, empty for nothing: what is played stops."""
+        """Store the neighbour watch's objection to a plan, empty for none; stop the plan if it is played."""
         if problem and self.state in ACTIVE and self._played.plan.id == plan_id:
             self._on(ExecutorEvent.STOP, problem)
 
     def on_tool(self, report: ToolReport, now: int) -> None:
-        """Take what is known of the tool, and the time of reception [ns]; a work plan that needs something else is stopped."""
+        """Store the tool's report and its time of reception [ns]; stop a work plan that requires other inputs."""
         self.tool = report
         if self.segment_run is not None and self.state in ACTIVE:
             if problem := self.segment_run.obstacle(report, now):
@@ -210,13 +210,13 @@ class Executor(ExecutorMachine):
         self.engagement.way_back = None if way_back is None else (plan.id, way_back)
 
     def reject(self, verdict: Verdict) -> None:
-        """Take a plan out of review because a person said no; tell it with the next `pop_events`. Its record is the caller's."""
+        """Reject the plan under review; `pop_events` reports it, the caller records it."""
         self._acted = True
         self.under_review.decide(verdict.plan_id, verdict.plan_hash, verdict.reviewer)
         self.events.append(verdict)
 
     def begin(self, plan: Plan, reason: str, may_wait: int = LIFETIME) -> None:
-        """Play a plan that `Approval` has checked and recorded; it ends when it has not begun to move for `may_wait` [ns]."""
+        """Play a plan that `Approval` has checked and recorded; end it unless it moves within `may_wait` [ns]."""
         self._approved, self._begin_by = plan, self.now + may_wait
         self._on(ExecutorEvent.APPROVED, reason)
 
@@ -260,7 +260,7 @@ class Executor(ExecutorMachine):
         return Sentence("braking plan {plan}; the arm trails by much, and goes on until it is there", plan=plan)
 
     def pause(self, now: int) -> str:
-        """Brake along the path smoothly and rest on it. Plans asked for until `now` [ns] and not here are void."""
+        """Brake smoothly and rest on the path; plans requested until `now` [ns] that arrive later are void."""
         if not ROWS[self.state, ExecutorEvent.PAUSE]:
             values = {"state": self.state.name, "reason": self.reason}
             raise ExecutionError(Sentence("nothing to pause: the executor is {state} ({reason})", **values))

@@ -1,4 +1,4 @@
-"""What follows from an event of the executor: the rows of `states.TABLE` carried out on the plan that is played.
+"""The executor's state machine: the rows of `states.TABLE`, applied to the plan that is played.
 
 Pure. Stamps and `now` in ns, angles in rad.
 """
@@ -37,7 +37,7 @@ class TwinPose:
 
 
 class PlayRate:
-    """The newest limit on a plan's speed, 0 to 1, and whether the arm is waited for: it trails by lost replies, or is slowed.
+    """The newest limit on a plan's speed, 0 to 1, and whether the plan waits for a trailing arm.
 
     `standing`: the plan has come to rest because of either.
     """
@@ -48,7 +48,7 @@ class PlayRate:
 
     @property
     def rate(self) -> float:
-        """What the plan is played at, as a fraction of its planned speed."""
+        """The rate of play, a fraction of the planned speed."""
         return 0.0 if self.waits else self.fraction
 
     def on_lag(self, round_trip: float, servo_lag: float = 0.0) -> None:
@@ -67,7 +67,7 @@ class PlayRate:
         self.fraction, self.reason = fraction, reason
 
     def sentence(self, cause: str) -> str:
-        """Return what a playing plan does, and why: always of the present limit. `cause` is why it plays."""
+        """Return the state of a playing plan under the present limit; `cause`: why it plays."""
         if self.standing and self.fraction == 0.0:
             return Sentence("stands still on the path, goes on by itself: {reason}", reason=self.reason)
         if self.waits:
@@ -129,7 +129,7 @@ class ExecutorMachine:
 
     @property
     def reason(self) -> str:
-        """Why the state was entered, and what the speed limit makes of it now."""
+        """Why the state was entered, with the present speed limit."""
         return self.limit.sentence(self.cause) if self.state is ExecutorState.PLAYING else self.cause
 
     @property
@@ -163,7 +163,7 @@ class ExecutorMachine:
             self.events.append(Verdict(WITHDRAWN, plan.id, plan.hash, EXECUTOR, reason, plan))
 
     def _on(self, event: ExecutorEvent, reason: str = "") -> None:
-        """Take an event: the first row of the table whose guard is true counts; without one nothing changes."""
+        """Apply the first row of the table whose guard holds; without one nothing changes."""
         row = row_of(ROWS, self.state, event, self._holds)
         if row is None:
             return
@@ -226,7 +226,7 @@ class ExecutorMachine:
                 self._work.resume(self.now)
 
     def _end(self, action: Action, sentence: str) -> str:
-        """End the execution, of a work plan with all that it leaves; return the sentence for its end."""
+        """End the execution and its work plan; return the sentence for its end."""
         self.outcome, work, finished = OUTCOMES[action], self.segment_run, action is Action.FINISH
         if work is not None:
             if not finished:

@@ -1,4 +1,4 @@
-"""One execution of a plan: which setpoint went out when, where on the path that was, how fast it is played, how it comes to rest.
+"""One execution of a plan: setpoints, place on the path, rate, braking.
 
 Stamps in ns, angles in rad, m for prismatic joints. Time along the trajectory is called elapsed time; its rate against the clock
 lies between 0 and 1. However it changes, the second difference of every joint's setpoints stays within its acceleration limit.
@@ -135,28 +135,28 @@ class Progress:
         return not self._ramp and self._now.rate == self._goal
 
     def rest_at(self, elapsed: float) -> None:
-        """Stand still at a time along the trajectory [ns], to the last bit: the gate has brought the joints to rest there."""
+        """Rest exactly at a time along the trajectory [ns], where the gate has stopped the joints."""
         self._elapsed, self._now, self._goal = elapsed, _RampStep(0.0, 0.0, 0.0), 0.0
         self._ramp.clear()
         pose = self._ahead(0.0)
         self._poses = (pose, pose, pose)
 
     def stand(self) -> None:
-        """Stand still from the next setpoint on; for a time at which the trajectory rests."""
+        """Rest from the next setpoint on, at a rest of the trajectory."""
         self._now, self._goal = _RampStep(0.0, 0.0, 0.0), 0.0
         self._ramp.clear()
 
     def bound(self, time: float) -> None:
-        """Pass no later time along the trajectory than this one [s] from now on; for an execution that stands, see `begin`."""
+        """Limit the time along the trajectory to this [s]; at rest, `begin` follows."""
         self._elapsed, self._bound = self.elapsed * NANOSECONDS, time
 
     def begin(self, rate: float) -> tuple[float, ...]:
-        """Return the present setpoint [rad], at rest; it goes on at `rate`, without a ramp, as the trajectory rests there."""
+        """Return the present setpoint [rad] and leave rest at `rate`, without a ramp."""
         self._goal, self._now = rate, _RampStep(rate * CYCLE_NS, rate, 0.0)
         return tuple(self._poses[2].tolist())
 
     def advance(self, rate: float) -> tuple[float, ...]:
-        """Go on by one cycle, on a smooth ramp from the present rate to `rate`; return the setpoint, shape (n,) [rad].
+        """Advance by one cycle, on a smooth ramp from the present rate to `rate`; return the setpoint, shape (n,) [rad].
 
         The ramp is the shortest found on which every joint stays within its acceleration limit and `JERK_FRACTION` of its jerk
         limit; a ramp down from which none leads up again is ended first. Where there is none, or none that comes to rest soon
@@ -178,7 +178,7 @@ class Progress:
         )
 
     def brake(self) -> tuple[float, ...]:
-        """Go on by as little as the acceleration limits allow, whatever the jerk; return the setpoint [rad]."""
+        """Brake by one cycle as hard as the acceleration limits allow, whatever the jerk; return the setpoint [rad]."""
         self._ramp.clear()
         self._goal = 0.0
         step = self._nearest_allowed(0.0)
@@ -221,7 +221,7 @@ class Progress:
         return accepted
 
     def _allowed(self, step: float) -> bool:
-        """Tell whether every joint may go there in one cycle: the same second difference that gate and gateway measure."""
+        """Return whether the joints can go there in one cycle, by gate's and gateway's second difference."""
         difference = self._ahead(step) - 2.0 * self._poses[2] + self._poses[1]
         return bool((np.abs(difference) <= self._difference_limit).all())
 
@@ -255,7 +255,7 @@ class Progress:
         return deque(map(_RampStep, steps.tolist(), rates[1:].tolist(), slopes[1:].tolist()))
 
     def _smooth(self, steps: np.ndarray) -> bool:
-        """Tell whether the setpoints that these steps [ns] lead to stay inside the limits, from the last three on."""
+        """Return whether the setpoints of these steps [ns] stay inside the limits, from the last three on."""
         elapsed = (self._elapsed + np.cumsum(steps)) / NANOSECONDS
         poses = np.vstack((*self._poses, self.trajectory.sample_many(np.minimum(elapsed, self._bound))[0]))
         differences = np.diff(poses, 2, axis=0)[1:]
@@ -310,16 +310,16 @@ class Playback(Progress):
         return self._remember(stamp, self.brake())
 
     def enter(self, end: float) -> None:
-        """Go on with the next setpoint, from rest, until the time along the trajectory at which the next segment ends [s]."""
+        """Continue from rest to the end of the next segment, a time along the trajectory [s]."""
         self.bound(end)
         self.goal_stamp, self._begins = 0, True
 
     def knows(self, stamp: int) -> bool:
-        """Return whether a setpoint of this execution had this nominal stamp [ns]; of those too long ago nothing is known."""
+        """Return whether a recent setpoint of this execution had this nominal stamp [ns]."""
         return any(known == stamp for known, _ in self._history)
 
     def rest_where(self, stamp: int) -> None:
-        """Stand, from the next setpoint on, where the setpoint with this nominal stamp [ns] was: one that it `knows`."""
+        """Rest, from the next setpoint on, at the setpoint of a nominal stamp [ns] that `has_stamp`."""
         self.rest_at(next(elapsed for known, elapsed in self._history if known == stamp))
         self.goal_stamp = 0
 

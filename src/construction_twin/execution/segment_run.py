@@ -1,4 +1,4 @@
-"""One execution of a work plan: which segment it is in, what the next boundary waits for, and what is expected of tool and scene.
+"""One execution of a work plan: its segment, the wait at the boundary, the expected tool and scene.
 
 At a boundary the arm stands at rest: its switches are armed, fire and are confirmed, and the scene becomes the one planned for. The
 setpoints go on repeating its pose, so that the playout passes the stamps of the switches. Pure. Stamps [ns] are those of setpoints;
@@ -22,12 +22,12 @@ NO_ARM = Sentence("there is no physical arm (`arm:=none`), so nothing switches o
 
 
 def tool_pending(report: ToolReport, plan: Plan) -> str:
-    """Return what passes by itself and is against a work plan, as a clause: its tool is not known yet. "" when nothing is."""
+    """Return the passing obstacle of an unknown tool to a work plan, as a clause; "" for none."""
     return report.why_unknown() if needs_tool(plan) and report.reason != NO_ARM else ""
 
 
 def tool_missing(report: ToolReport, plan: Plan) -> str:
-    """Return what a work plan needs of the tool and is not there, as a clause; "" when nothing is missing."""
+    """Return a work plan's unmet requirement of the tool, as a clause; "" for none."""
     if not needs_tool(plan):
         return ""
     if problem := tool_pending(report, plan) or report.why_unknown():
@@ -63,7 +63,7 @@ SCENE_TIMEOUT = 30 * NANOSECONDS
 
 @dataclass(frozen=True)
 class ToolOrder:
-    """What is asked of the tool.
+    """An order to the tool.
 
     Attributes:
         id: Of the switch; empty: forget every switch that is armed and has not fired.
@@ -78,7 +78,7 @@ class ToolOrder:
 
 @dataclass(frozen=True)
 class BoundaryEvent:
-    """What has become of the waiting, and why."""
+    """The end of a wait at a boundary, and its reason."""
 
     event: ExecutorEvent
     reason: str = ""
@@ -96,7 +96,7 @@ class _Order:
 
 
 class Boundary:
-    """The end of one segment; none of its switches fires twice. `wants_scene`: only the scene is not yet `scene_after`."""
+    """The end of one segment: switches that fire once, then the scene. `wants_scene`: only `scene_after` is missing."""
 
     def __init__(self, plan_id: str, number: int, segment: Segment | None, scene_after: str):
         self.segment = segment
@@ -122,7 +122,7 @@ class Boundary:
 
     @property
     def may_have_switched(self) -> bool:
-        """Whether a switch was armed: it may have fired although nobody has heard of it."""
+        """Whether a switch was armed, and may have fired."""
         return any(order.attempts for order in self._ordered)
 
     @property
@@ -132,43 +132,43 @@ class Boundary:
 
     @property
     def confirmation(self) -> tuple[Signal, ...]:
-        """What the inputs must read once the switches have fired."""
+        """Required readings of the inputs after the switches."""
         return tuple(signal for order in self._ordered for signal in order.switch.confirm)
 
     @property
     def required(self) -> tuple[Signal, ...]:
-        """What the inputs must read now."""
+        """Required readings of the inputs now."""
         if self._confirmed and self._ordered:
             return self.confirmation
         return self.segment.requires if self.segment is not None and not self.fired else ()
 
     def pop_orders(self) -> list[ToolOrder]:
-        """Return what is to be asked of the tool since the last call."""
+        """Return the orders to the tool since the last call."""
         orders, self._orders = self._orders, []
         return orders
 
     def on_report(self, tool: ToolReport, now: int) -> None:
-        """Store what a report says of the switches; also while it is paused."""
+        """Store the switches' states of a report, paused or not."""
         for order in self._ordered:
             report = tool.switches.get(order.id) if order.id else None
             if report is not None and report.state is SwitchState.FIRED and order.fired is None:
                 order.fired = now
 
     def void(self) -> None:
-        """Ask that what is armed and has not fired is forgotten: a pause, or the end of the plan."""
+        """Order the armed switches void: a pause, or the end of the plan."""
         if not self._voided and any(order.attempts and order.fired is None for order in self._ordered):
             self._orders.append(ToolOrder("", self._plan_id))
             self._voided = True
 
     def resume(self, now: int) -> None:
-        """Go on after a pause: what has fired stays so; what is known to be void is armed anew."""
+        """Continue after a pause: fired switches stay fired, void ones are armed anew."""
         if self._armed_at is not None:
             self._armed_at = now
         if self._wanted_at is not None:
             self._wanted_at = now
 
     def update(self, stamp: int, now: int, tool: ToolReport, scene: str, may_switch: bool) -> BoundaryEvent | None:
-        """Go on by one cycle, whose setpoint has this stamp [ns]; return what ends the waiting badly, else None (see `done`).
+        """Advance by one cycle, whose setpoint has this stamp [ns]; return the event of a failed wait, else None (see `done`).
 
         `scene`: hash of the present one, empty: not known. `may_switch`: whether a switch may be armed now.
         """
@@ -209,7 +209,7 @@ class Boundary:
         return self._late(now, tool)
 
     def _confirmed_before(self, tool: ToolReport) -> BoundaryEvent | None:
-        """Tell of a switch that would confirm nothing: a sensor that is stuck reads the same before and after it."""
+        """Return the event of a switch that was confirmed before it fired, as by a stuck sensor."""
         for order in self._ordered:
             if order.switch.confirm and not tool.mismatch(order.switch.confirm):
                 stuck = Sentence(
@@ -226,7 +226,7 @@ class Boundary:
         self._armed_at = now
 
     def _arm_again(self, stamp: int, now: int, tool: ToolReport, may_switch: bool) -> None:
-        """After a pause: what the gateway says will not fire any more is armed anew, once it has said so of all that are open."""
+        """Arm void switches anew after a pause, once the gateway has reported on all of them."""
         open_ones = [order for order in self._ordered if order.fired is None]
         if not all(_is_void(tool.switches.get(order.id)) for order in open_ones):
             return
@@ -250,7 +250,7 @@ class Boundary:
         return None
 
     def _late(self, now: int, tool: ToolReport) -> BoundaryEvent | None:
-        """Confirm what has fired, and tell what takes too long."""
+        """Confirm fired switches; return the event of an overdue one."""
         assert self._armed_at is not None  # the caller has seen to that
         late, all_in = None, True
         for order in self._ordered:
@@ -316,22 +316,22 @@ class SegmentRun:
 
     @property
     def segment(self) -> Segment | None:
-        """The segment that it is in; None before the first."""
+        """The present segment; None before the first."""
         return self.plan.segments[self.number] if self.number >= 0 else None
 
     @property
     def wants_scene(self) -> bool:
-        """Whether it stands and waits for the scene that was planned for."""
+        """Whether only the planned scene is missing at the boundary."""
         return self.at_boundary and self._boundary.wants_scene
 
     @property
     def expected_scene(self) -> str:
-        """Hash of that scene; empty when it does not wait for one."""
+        """Hash of the missing scene; empty for none."""
         return self._boundary.scene_after if self.wants_scene else ""
 
     @property
     def where(self) -> str:
-        """Where it is, for people: a clause."""
+        """The place in the plan, as a clause for the operator."""
         if self.segment is None:
             return Sentence("before the first segment")
         name = repr(self.segment.name)
@@ -352,11 +352,11 @@ class SegmentRun:
     # -- events from outside
 
     def pop_orders(self) -> list[ToolOrder]:
-        """Return what is to be asked of the tool since the last call."""
+        """Return the orders to the tool since the last call."""
         return self._boundary.pop_orders() if self.at_boundary else []
 
     def obstacle(self, tool: ToolReport, now: int) -> str:
-        """Return what a report of the tool says against going on, as a clause, "" when nothing."""
+        """Return the obstacle in a tool's report, as a clause; "" for none."""
         segment = self.segment
         if segment is None:
             return ""
@@ -377,7 +377,7 @@ class SegmentRun:
     # -- the way through the segments
 
     def arrive(self) -> None:
-        """It has come to the end of the present segment."""
+        """Begin the boundary at the end of the present segment."""
         segment = self.segment
         assert segment is not None  # it moves only inside of one
         self.at_boundary = True
@@ -392,17 +392,17 @@ class SegmentRun:
         return self.plan.segments[self.number].end
 
     def pause(self) -> None:
-        """A pause at a boundary: what is armed is forgotten."""
+        """Void armed switches at a boundary."""
         self._boundary.void()
 
     def resume(self, now: int) -> None:
-        """The end of that pause."""
+        """Continue at a boundary after a pause."""
         if self._recording_since is not None:
             self._recording_since = now
         self._boundary.resume(now)
 
     def update(self, stamp: int, now: int, tool: ToolReport, scene: str, may_switch: bool) -> BoundaryEvent | None:
-        """Go on by one cycle at a boundary; return what follows, None while it waits. Arguments as of `Boundary.update`."""
+        """Advance by one cycle at a boundary; return its event, None while it waits. Arguments as of `Boundary.update`."""
         event = self._boundary.update(stamp, now, tool, scene, may_switch)
         if event is not None or not self._boundary.done:
             return event
@@ -423,7 +423,7 @@ class SegmentRun:
         return BoundaryEvent(ExecutorEvent.NEXT_SEGMENT)
 
     def _is_recorded(self, following: Segment | None, now: int) -> bool:
-        """Tell whether the disk says where the arm is about to be: an engaged segment, or none."""
+        """Return whether the disk holds the next segment's engagement, or none."""
         if self.way_back:
             return True
         if self._recording_since is None:
@@ -435,7 +435,7 @@ class SegmentRun:
     # -- the end
 
     def end(self, finished: bool, elapsed: float, reason: str) -> list[ToolOrder]:
-        """The plan has ended, `elapsed` [s] along its trajectory; return what is still to be asked of the tool."""
+        """End the plan, `elapsed` [s] along its trajectory; return the last orders to the tool."""
         if self.at_boundary:
             self._boundary.void()
         if self.way_back:
@@ -454,7 +454,7 @@ class SegmentRun:
         return self.pop_orders()
 
     def _possible_readings(self) -> Holding:
-        """Return what the tool's inputs may read where the plan has ended, in the order of time, and the scene of each."""
+        """Return the possible readings of the tool's inputs at the plan's end, in the order of time, with their scenes."""
         segment, boundary = self.segment, self._boundary
         assert segment is not None  # it is engaged
         if not segment.switches:

@@ -25,7 +25,7 @@ class ExecutorState(Enum):
 
 
 class ExecutorEvent(Enum):
-    """What can happen to the executor."""
+    """Event of the executor."""
 
     AGREED = "agreed"
     TWIN_LOST = "twin_lost"
@@ -49,7 +49,7 @@ class ExecutorEvent(Enum):
 
 
 class Guard(Enum):
-    """What must be true for a row of the table to count; values are the words of the documentation."""
+    """Condition of a row; values are the words of the documentation."""
 
     ALWAYS = ""
     BEGUN = "a setpoint of the plan was sent"

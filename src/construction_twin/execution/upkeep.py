@@ -1,4 +1,4 @@
-"""What goes on beside the cycle of the executor: what it has to tell, what its disk keeps, and who may have it move the arm."""
+"""Work beside the executor's cycle: reports, records on disk, permission to move the arm."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _NO_SOURCE = (LimitState.SILENT, LimitState.MISSING)
 
 
 class Permission(pydantic.BaseModel):
-    """Which arm moves, and by whose word: launch arguments of these names."""
+    """Launch arguments that permit motion of an arm."""
 
     arm: Literal["mock", "real", "none"]
     auto_approve: bool = False
@@ -38,7 +38,7 @@ class Permission(pydantic.BaseModel):
         return names
 
     def check(self, robot: RobotModel) -> None:
-        """Raise ConfigurationError unless a real arm moves by a person's word and by looked-up values."""
+        """Check that a real arm has a person's approval and values that are no estimates."""
         if self.arm == "real" and self.auto_approve and not self.auto_approve_is_meant:
             raise ConfigurationError(
                 "auto_approve",
@@ -52,7 +52,7 @@ class Permission(pydantic.BaseModel):
 
 
 class ExecutionNews:
-    """What is new of an executor, its approvals and its speed limit, for its report and its log."""
+    """Collects changes of executor, approvals and speed limit for report and log."""
 
     def __init__(self, executor: Executor, approval: Approval, limit: SpeedLimit):
         self._executor, self._approval, self._limit = executor, approval, limit
@@ -61,7 +61,7 @@ class ExecutionNews:
 
     @property
     def waits(self) -> bool:
-        """Whether somebody should look: nothing moves by itself, or no limit comes."""
+        """Whether a person should look: no motion by itself, or no source of the limit."""
         return self._limit.state in _NO_SOURCE or self._executor.state in (
             ExecutorState.WAITING,
             ExecutorState.HELD,
@@ -89,7 +89,7 @@ class ExecutionNews:
         return report, lines
 
     def _report_key(self) -> tuple:
-        """Return what of the report is worth a new one when it changes: first what is worth a line in a log, too."""
+        """Return the fields whose change is reported: first those that are logged, too."""
         executor, approval, limit = self._executor, self._approval, self._executor.limit
         work, playback, active = executor.segment_run, executor.playback, executor.state in ACTIVE
         where = work and (work.number, active and work.at_boundary, active and work.expected_scene)
@@ -129,7 +129,7 @@ class ExecutionNews:
 
 
 class DiskWriter:
-    """Writes beside the cycle; what the disk does not take is logged, and tried again.
+    """Writes beside the cycle; failures are logged and tried again.
 
     Args:
         engagement: File of where the arm is engaged.
@@ -144,11 +144,11 @@ class DiskWriter:
 
     @property
     def fault(self) -> str:
-        """What could not be written; empty: all was."""
+        """The sentences of failed writes; empty for none."""
         return next(iter(self._faults.values()), "")
 
     def write(self, what: str, write: Callable[[], object]) -> bool:
-        """Write something; return whether the disk has taken it."""
+        """Run a write; return whether it succeeded."""
         try:
             write()
         except ConstructionTwinError as error:
@@ -159,7 +159,7 @@ class DiskWriter:
         return True
 
     def save_engagement(self) -> tuple[Engagement | None, ToolReport] | None:
-        """Write where the arm is about to be, or was left; return that, and the tool, where it is news for the planner."""
+        """Save the engagement; return where the arm was left, and the tool, where these are new."""
         store = self._executor.engagement
         if not self.write("the engagement", lambda: store.save(self._lock, self._engagement)):
             return None
