@@ -50,7 +50,7 @@ class Refusals:
         self._has_own = not follows
 
     def on_stop(self) -> None:
-        """Hold the last one: the arm was stopped for it."""
+        """Hold the last refusal, which stopped the arm."""
         self._stopped, self.later = True, ""
 
     def count_telegram(self, reason: str, why: object) -> None:
@@ -61,7 +61,7 @@ class Refusals:
         self.unread_reason, self.unread_why = reason, str(why)[:LONGEST_REFUSAL]
 
     def clear_cause(self) -> None:
-        """Release the one that stopped the arm: after a reset, or with another command session."""
+        """Release the refusal that stopped the arm."""
         self.last, self.later = self.later or self.last, ""
         self._has_own = self._stopped = False
 
@@ -143,11 +143,11 @@ class ArmControl:
 
     @property
     def sentence(self) -> Sentence:
-        """State and reason, as a refusal says them."""
+        """State and reason, for a refusal."""
         return Sentence("gateway is {state}: {reason}", state=self.state.value, reason=self.reason)
 
     def on_brake(self, row: Row, occasion: Occasion) -> None:
-        """Brake, and say how far that goes; drop the command session."""
+        """Brake and report the distance; drop the command session."""
         cause, state, follower = CAUSES[row.event], row.state, self.player.follower
         if row.action is Action.BRAKE_TO_FAULT:
             self.on_fault(row, occasion)
@@ -162,7 +162,7 @@ class ArmControl:
         self.disarm(occasion.reason)
 
     def on_fault(self, row: Row, occasion: Occasion) -> None:
-        """Be at fault until a `reset`."""
+        """Set the fault, until a `reset`."""
         self.fault = self.machine.changed = True
         if not occasion.ending:
             self.fault_number += 1
@@ -192,7 +192,7 @@ class ArmControl:
         self.machine.on(event, Occasion(why, account=account, ending=ending))
 
     def stop(self, reason: str, account: str = "", ending: bool = False) -> None:
-        """Brake, whatever the state, and stay stopped until a `reset`: also a stop of an arm at rest must not be forgotten."""
+        """Brake in any state, at rest too, and stay stopped until a `reset`."""
         self.brake(Event.STOP, reason, account, ending)
 
     def end(self, reason: str, program: bool = False) -> None:

@@ -85,7 +85,7 @@ class CommandStream:
 
 
 class StreamBroken(Exception):
-    """The stream cannot go on, though nothing is wrong with the command: ``STREAM_SILENT``, ``SPEED_IGNORED``, ``REPLIES_LOST``."""
+    """The stream has to end, its command being valid: ``STREAM_SILENT``, ``SPEED_IGNORED``, ``REPLIES_LOST``."""
 
     def __init__(self, event: Event, reason: Sentence):
         super().__init__(reason)

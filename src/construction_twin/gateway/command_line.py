@@ -28,7 +28,7 @@ from construction_twin.mqtt.messages import Topics
 
 
 def log_beside_the_loop() -> QueueListener:
-    """Write the log from a thread of its own: the loop waits for no terminal or full pipe (docs/architecture.md, law 1)."""
+    """Write the log in a background thread (docs/architecture.md, law 1)."""
     handler = logging.StreamHandler()
     handler.setFormatter(logging.Formatter("%(asctime)s %(name)s %(levelname)s %(message)s"))
     records: SimpleQueue = SimpleQueue()
@@ -120,7 +120,7 @@ def _endpoints(
 
 
 def check(arguments: argparse.Namespace, config: GatewayConfig) -> None:
-    """Raise the ConstructionTwinError that a gateway with these options would not start with; leave nothing behind."""
+    """Check the options as a start would, without side effects."""
     bind(*_endpoints(arguments, config)[2]).close()
     if arguments.trace:
         check_trace(arguments.trace)

@@ -47,7 +47,7 @@ class Answer:
 
 
 class Ownership:
-    """One session commands at a time, never one that has ended, and no control message acts twice."""
+    """The right to command: one session at a time, none twice; control messages act once."""
 
     def __init__(self) -> None:
         self._past_sessions: dict[object, None] = {}
@@ -57,20 +57,20 @@ class Ownership:
         self.intrusions = 0
 
     def begin(self, session: str) -> None:
-        """Record that a session has its turn."""
+        """Record a session that begins to command."""
         _remember(self._past_sessions, session)
 
     def has_had_turn(self, session: str) -> bool:
-        """Return whether a session has had its turn; what still comes from it was sent before its end."""
+        """Return whether a session commands or has commanded."""
         return session in self._past_sessions
 
     def record_intruder(self, session: str) -> None:
-        """Count a session that wanted what another has."""
+        """Count a second session that asked to command."""
         self.intruder = session
         self.intrusions += 1
 
     def is_repeated(self, control: Control) -> bool:
-        """Return whether a control message came before: QoS 1 may deliver twice, and recordings can be replayed."""
+        """Return whether a control message is a repetition (QoS 1, replayed recordings)."""
         key = (control.session, control.id, control.verb)
         if key in self._answered:
             return True
@@ -107,7 +107,7 @@ class EnforcedSpeedLimit:
 
     @staticmethod
     def refusal(control: Control, session: str) -> str:
-        """Return why a `speed_limit` message does not count while `session` is armed; "" when it does."""
+        """Return why a `speed_limit` message is ignored while `session` is armed; "" when it counts."""
         fraction = control.value
         # bool is a number to Python; a number as large as JSON allows is none that a float holds
         if isinstance(fraction, bool) or not isinstance(fraction, (int, float)) or not 0 <= fraction <= 1:
@@ -138,7 +138,7 @@ class EnforcedSpeedLimit:
         return changed
 
     def poll(self, now: int) -> bool:
-        """Notice silence, and what has come into force; return whether the source has just fallen silent."""
+        """Update the limit in force; return whether its source has just fallen silent."""
         recent = self._recent
         if not recent:
             return False
@@ -228,7 +228,7 @@ class CommandHandler:
             gateway.player.learn_from_stall(session, now)
 
     def on_stream_began(self, row: Row, occasion: Occasion) -> None:
-        """Check and take the first command of a stream."""
+        """Check and play the first command of a stream."""
         gateway, now = self._gateway, occasion.now
         assert gateway.player.follower is not None  # an armed gateway has one
         held = gateway.player.follower.position
@@ -273,7 +273,7 @@ class CommandHandler:
         return Answer(True, Sentence("speed at most {fraction:g} of the limits", fraction=fraction))
 
     def poll(self, now: int) -> None:
-        """Notice a speed limit whose source is silent, and one that has come into force."""
+        """Update the speed limit in force, and report the silence of its source."""
         gateway, speed = self._gateway, self.speed
         if speed.poll(now):
             gateway.counters["speed_limit_silent"] += 1
@@ -305,7 +305,7 @@ class CommandHandler:
         return ""
 
     def refusal_of_arm(self, occasion: Occasion) -> str:
-        """Return what speaks against arming a session; "" for nothing."""
+        """Return the obstacle to arming a session; "" for none."""
         gateway = self._gateway
         if refusal := self._refusal_of_session(occasion.session):
             return refusal
@@ -325,7 +325,7 @@ class CommandHandler:
         return ""
 
     def refusal_of_second_session(self, occasion: Occasion) -> str:
-        """Return that another session is armed; "" where it is this one."""
+        """Return the refusal while another session is armed; "" for none."""
         session = self._gateway.command_session
         refusal = Sentence("armed for session {session}; stop and reset first", session=session)
         return "" if occasion.session == session else refusal
@@ -346,7 +346,7 @@ class CommandHandler:
         return self._answer(control, refusal, Sentence("armed"))
 
     def _obstacle_of_switch(self, session: str) -> str:
-        """Return why nothing may be switched now; "" for nothing."""
+        """Return the obstacle to a switch now; "" for none."""
         gateway = self._gateway
         if gateway.state is not State.FOLLOWING:
             return Sentence("no stream is followed, {present}", present=gateway.sentence)
@@ -376,7 +376,7 @@ class CommandHandler:
         return self._answer(control, gateway.machine.on(Event.RESET, occasion), done)
 
     def refusal_of_reset(self, occasion: Occasion) -> str:
-        """Return what speaks against a reset; "" for nothing."""
+        """Return the obstacle to a reset; "" for none."""
         gateway, value = self._gateway, occasion.value
         follower = gateway.player.follower
         if follower is None:
@@ -397,7 +397,7 @@ class CommandHandler:
         return "" if follower.at_rest else Sentence("the arm is still moving; stop it first")
 
     def refusal_of_owner_reset(self, occasion: Occasion) -> str:
-        """Return what speaks against a reset while a session commands: it must be that one's."""
+        """Return the refusal of a reset by another session than the one that commands; "" for none."""
         session = self._gateway.command_session
         if occasion.session != session:
             # also the owner's own next session asks too early sometimes: no intruder yet
@@ -427,7 +427,7 @@ class CommandHandler:
         return Answer(True, Sentence("gateway is {state}", state=gateway.state.value))
 
     def refuse_stop(self, account: str, error: PayloadError, now: int) -> Answer:
-        """Count a message on `stop/<account>` that is no stop; the answer has no reason where none is due."""
+        """Count an unreadable message on `stop/<account>`; the answer's reason is limited in rate."""
         self._gateway.refusals.count_message(error.reason, error)
         return Answer(False, str(error) if self._stop_pace.admit(account, now) else "")
 
@@ -437,7 +437,7 @@ def _asked(control: Control) -> Sentence:
 
 
 def _refusal_of_value(value: object, present: str, run: str) -> str:
-    """Return in one sentence why the value of an `arm` does not mean the present configuration's hash and run; "" when it does."""
+    """Return how the value of an `arm` differs from the present configuration's hash and run; "" for none."""
     if refusal := other_protocol(PROTOCOL, protocol_of(value)):
         return refusal
     named = value if isinstance(value, dict) else {"hash": value}

@@ -1,4 +1,4 @@
-"""The controller's clock as its telegrams show it: the step of their stamps, the time between them, and the one against the other.
+"""Measurement of the controller's clock by its telegrams: cycle, and rate against this machine's clock.
 
 Motion is played, limited and braked per cycle, so a controller of another cycle must be named before it is commanded. Only medians
 are judged: lost telegrams, stalls of either machine and jitter shift single steps and times, but not half of them. Stamps in ms,
@@ -92,7 +92,7 @@ class ControllerClock:
         self._to_judge = self._first - len(arrivals)
 
     def judge(self, rates: bool = True) -> str | None:
-        """Return what is wrong with the clock, "" for nothing; None for nothing new. Due every 0.4 s, when nothing waits.
+        """Return the clock's fault, "" for none; None: as before. Due every 0.4 s, when nothing waits.
 
         Without `rates` only the cycle is judged: a rate that once was right becomes wrong by a machine that stalls.
         """

@@ -37,7 +37,7 @@ class TelegramOutcome:
 
 
 class Replies:
-    """The answers to one controller, as the next one depends on them: corrections, or `absolute` positions; or all `zero`."""
+    """The last replies to a controller: corrections, `absolute` positions, or all `zero`."""
 
     def __init__(self, absolute: bool, zero: bool):
         self._absolute, self._zero = absolute, zero
@@ -64,7 +64,7 @@ class Replies:
             self.last_acknowledged, self.lost_for = self.correction, 0
 
     def answer(self, position: tuple[float, ...], origin: tuple[float, ...]) -> tuple[float, ...]:
-        """Return what the answer carries that is to bring the axes to a position [rad]."""
+        """Return the content of the reply that brings the axes to a position [rad]."""
         correction = tuple([value - start for value, start in zip(position, origin)])
         self.correction = correction
         if not self._zero:
@@ -72,7 +72,7 @@ class Replies:
         return correction if self._plain else self.to_target(correction, origin)
 
     def to_target(self, correction: tuple[float, ...], origin: tuple[float, ...]) -> tuple[float, ...]:
-        """Return what an answer carries for a correction [rad]."""
+        """Return the content of the reply for a correction [rad]."""
         if self._zero:
             correction = (0.0,) * len(correction)
         return corrected(origin, correction) if self._absolute else correction
@@ -170,11 +170,11 @@ class ControllerSession:
 
     @property
     def acknowledged_target(self) -> tuple[float, ...]:
-        """The target that the controller has until the last answer arrives, as it was sent [rad], [m]; () before the first."""
+        """The last acknowledged target, as it was sent [rad], [m]; () before the first."""
         return self.replies.to_target(self.replies.last_acknowledged, self.origin)
 
     def on_status(self, status: ControllerStatus, unreadable: int) -> None:
-        """Store what a telegram says on its optional channels, and count those that cannot be read; no answer changes."""
+        """Store a telegram's optional channels, and count unreadable ones."""
         self.status = status
         if unreadable:
             self._counters["status_channels_unreadable"] += unreadable
@@ -223,18 +223,18 @@ class ControllerSession:
         return distance_off(q, reference, self._limits, [tolerances * allowed for allowed in self._tolerances])
 
     def renew_origin(self) -> None:
-        """Where the measured pose is the origin, take the present one; only while the correction is zero."""
+        """Move a measured origin to the present pose, while the correction is zero."""
         if not self._rules.follows and self.measured:
             self.origin = self.measured
 
     def move_origin(self, setpoint: tuple[float, ...], position: tuple[float, ...]) -> tuple[float, ...]:
-        """Take another programmed position [rad] as origin; return where `position` is then, with the same correction."""
+        """Move the origin to a programmed position [rad]; return `position` there, with the same correction."""
         correction = [value - start for value, start in zip(position, self.origin)]
         self.origin = setpoint
         return tuple([start + value for start, value in zip(setpoint, correction)])
 
     def _is_new_session(self, goes_on: bool, step: int) -> bool:
-        """Return whether a telegram so many ms on begins another session, by what every make has."""
+        """Return whether a step of the stamps [ms] begins another session, by the rules of all makes."""
         if not self.alive:
             self.begin_reason = Sentence("the first telegram after silence")
         elif not goes_on:
@@ -250,7 +250,7 @@ class ControllerSession:
         return True
 
     def _is_restarted(self, telegram: Telegram, moving: bool) -> bool:
-        """Return whether the make's own signs show that a session was ended and begun anew while cycles are missing."""
+        """Return whether missing cycles hide a restart of the session, by the make's own signs."""
         sign = self._rules.restart_sign(telegram, self.origin, self.replies.sent, moving)
         if sign:
             jump, protocol = self.jump_ms, self._words.protocol

@@ -1,4 +1,4 @@
-"""The controller's socket: from the datagrams that wait in it to the one telegram that is answered, and back to the reply. ns."""
+"""The controller's socket: reads the newest telegram, answers it. ns."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ class ControllerSocket:
         return True
 
     def _switched(self, encoder: Encoder) -> tuple[bool, ...]:
-        """Return what a reply tells the tool's outputs; the last resort goes on with it."""
+        """Return the tool's channels of a reply, and hand them to the last resort."""
         tool = self._gateway.tool
         assert tool is not None
         holding = tool.channels()

@@ -204,7 +204,7 @@ class Gateway(ArmControl):
     # -- between telegrams
 
     def poll(self, now: int) -> None:
-        """Notice silence of the controller or of a speed limit's source, and what the clock shows; call it behind an answer."""
+        """Check for silence of the controller and of the speed limit, and the clock; call it behind an answer."""
         machine, controller = self.machine, self.controller
         self.commands.poll(now)
         if controller.is_silent(now):

@@ -238,7 +238,7 @@ class MqttConnection:
         }
 
     def log_line(self, level: int, kind: str, text: str) -> None:
-        """Write a line of a kind, not too often."""
+        """Log a line, limited in rate by its kind."""
         more = self._lines.admit(kind, self.now)
         if more is not None:
             log.log(level, "%s: %s%s", kind, text, more)

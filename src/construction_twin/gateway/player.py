@@ -156,7 +156,7 @@ class Player:
         return self.follower
 
     def clear(self) -> None:
-        """Forget the stream; what was learned about the link stays."""
+        """Clear the stream, and keep the learned jitter."""
         self.playout.clear()
         self.stamp = self._stamp_before = self.standstills = 0
         self.braking = None
@@ -195,11 +195,11 @@ class Player:
         return position
 
     def on_stream_given_up(self, session: str, now: int) -> None:
-        """Remember that the stream of `session` was given up for its silence; call it before `clear`."""
+        """Record that the stream of `session` was given up for its silence; call it before `clear`."""
         self._stalled = session, self.playout.shortfall, now
 
     def learn_from_stall(self, session: str | None, now: int) -> None:
-        """Lengthen the next stream's delay by what a command shows that came after its stream was given up."""
+        """Lengthen the next stream's delay by the lateness of a command of the stream given up."""
         if self._stalled is None or session not in (None, self._stalled[0]):
             return
         _, shortfall, since = self._stalled

@@ -71,7 +71,7 @@ class Arrivals:
         self.learned = self.jitter
 
     def learn(self, jitter: int) -> None:
-        """Take a jitter that was seen by other means."""
+        """Add a jitter observed elsewhere."""
         if jitter > self.learned:
             self.learned, self._changed = jitter, True
 
@@ -149,7 +149,7 @@ class Playout:
         self.clear()
 
     def clear(self) -> None:
-        """Forget the stream; the next command starts another. What was learned about the link stays."""
+        """Clear the stream, and keep the learned jitter."""
         self._arrivals.remember()
         self._arrivals.restart()
         self.rate.clear()
@@ -216,7 +216,7 @@ class Playout:
         return stamp > self._now
 
     def learn(self, jitter: int) -> None:
-        """Take a jitter that no command of this stream shows, unless it is beyond the longest delay: a cut."""
+        """Add a jitter from before this stream; one beyond the longest delay is a cut."""
         if jitter > self.bounds.longest:
             return
         self._arrivals.learn(jitter)
@@ -259,7 +259,7 @@ class Playout:
         return self._resting > len(self._commands)
 
     def _choose_delay(self, now: int) -> None:
-        """Set out for another delay behind the quickest commands when this one is too short, or much too long."""
+        """Begin to move to another delay when this one is too short, or much too long."""
         # the newest command is up to 4 ms old when a telegram finds it
         at_end = self._arrivals.high + CYCLE_NS + self._clock - now - self.rate.remaining
         wanted = self.bounds.delay(self._arrivals.jitter)

@@ -95,7 +95,7 @@ class PlayoutRate:
         return not (self.remaining or self.shift or self._limits)
 
     def record_target(self, target: Pose) -> None:
-        """Remember the target of a cycle, one cycle after the one before it."""
+        """Store the target of a cycle, one cycle after the one before it."""
         self._before, self._last = self._last, target
 
     def limit(self, fraction: float) -> None:
@@ -106,7 +106,7 @@ class PlayoutRate:
             self._free()
 
     def move(self, by: int, urgent: bool) -> None:
-        """Set out to move playout time [ns]; a move that has begun is not slowed down to another pace: it would overshoot."""
+        """Begin to move playout time [ns]; a move under way keeps its pace."""
         if urgent or not (self.remaining or self.shift):
             self._pace = self._paces[URGENT if urgent else CALM]
         self.remaining += by

@@ -117,7 +117,7 @@ class GatewayService:
             return None
 
     def on_thread_failure(self, arguments: threading.ExceptHookArgs) -> None:
-        """Take an exception that ended another thread, as `threading.excepthook`; the loop takes it in its next turn."""
+        """Store the exception of another thread, as `threading.excepthook`, for the loop's next turn."""
         if arguments.exc_value is not None:
             self._thread_failure = arguments.exc_value
         # to stderr as well: the thread that has ended may be the one that writes the log

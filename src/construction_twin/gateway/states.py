@@ -21,7 +21,7 @@ class Mode(Enum):
 
     @classmethod
     def of(cls, config: GatewayConfig, commissioning: bool) -> Mode:
-        """Return the mode: what the layout says comes first, because a controller that expects no answers takes nothing."""
+        """Return the mode; a layout without replies comes first."""
         if not config.layout.answered:
             return cls.READ_ONLY
         return cls.COMMISSIONING if commissioning else cls.NORMAL
@@ -55,7 +55,7 @@ class State(Enum):
 
 
 class Event(Enum):
-    """What can happen to the gateway."""
+    """Event of the gateway."""
 
     SESSION_BEGAN = "the first telegram of a controller session"
     CYCLE_FITS = "the controller's cycle is the expected one"
@@ -76,7 +76,7 @@ class Event(Enum):
 
 
 class Guard(Enum):
-    """What a row asks for before it applies."""
+    """Condition of a row."""
 
     NONE = ""
     ANSWERS = "the controller expects answers"
@@ -92,7 +92,7 @@ class Guard(Enum):
 
 
 class Action(Enum):
-    """What a row does."""
+    """Effect of a row."""
 
     NONE = ""
     BEGIN_SESSION = "forget origin and command session"
@@ -164,7 +164,7 @@ CAUSES = {
 
 @dataclass(frozen=True, slots=True)
 class Occasion:
-    """What came with an event.
+    """Arguments of an event.
 
     Attributes:
         reason: The sentence with which the next state is entered.

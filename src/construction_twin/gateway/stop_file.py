@@ -1,4 +1,4 @@
-"""The file in which a stop or fault that nobody has reset outlasts the gateway's program (docs/architecture.md, law 5).
+"""The file that keeps a stop or fault, until a reset, over restarts (docs/architecture.md, law 5).
 
 It is written beside the loop, which waits for no disk, and in place: a disk that is full later takes every stop.
 """
@@ -48,7 +48,7 @@ class StopFile:
             return Sentence("what {path} says of a stop cannot be read", path=str(self._path))
 
     def save(self, reason: str) -> None:
-        """Have the writer save why the arm is stopped, "" once somebody has reset it; returns at once."""
+        """Queue the reason of the stop for writing, "" after a reset."""
         # what a message named may be no text: half a surrogate pair
         reason = reason[:LONGEST].encode(errors="replace").decode()
         if reason != self._wanted:
@@ -56,7 +56,7 @@ class StopFile:
             self._changed.set()
 
     def close(self) -> None:
-        """Write what is still to be written, as long as that takes no longer than a second."""
+        """Finish pending writes, within a second."""
         self._ends = True
         self._changed.set()
         self._writer.join(1.0)

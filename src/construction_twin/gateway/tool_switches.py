@@ -77,7 +77,7 @@ class ToolSwitches:
 
     @property
     def difference(self) -> str:
-        """Which outputs read back as something else than commanded, in one sentence; "" for none, or not for long."""
+        """Outputs whose read-back has differed from the command for long, in one sentence; "" for none."""
         if self._differs <= self._longest_difference or self._reading is None:
             return ""
         pairs = zip(self._names, self._reading.outputs, self._commanded)

@@ -49,7 +49,7 @@ _NO_PROPERTIES = StateProperties(0, 0, 0)
 
 
 class StateCheck:
-    """Which states of one gateway count: numbered in order, and none that travelled too long.
+    """Checks the states of one gateway: sequence and travel time.
 
     A new sequence, or a new clock, is believed after `CONFIRMATIONS` states of it in a row.
 
@@ -67,7 +67,7 @@ class StateCheck:
         self.restart()
 
     def restart(self) -> None:
-        """Start over: the gateway is gone, and the next one's clock may be another."""
+        """Restart for another gateway and its clock."""
         self._last = self._before = self._misfits = 0
         self._travel.restart()
 
@@ -212,7 +212,7 @@ class Bridge:
     # -- the gateway
 
     def poll(self, now: int, present: Moment) -> Control | None:
-        """Update the link; return what is to be sent now."""
+        """Update the link; return the control message that is due."""
         supervisor = self.supervisor
         control = supervisor.poll(now)
         self._record_stops(present)
@@ -356,7 +356,7 @@ class Bridge:
         return join_sentences(supervisor.reason, supervisor.inputs.status.controller_sentence)
 
     def news(self, now: int, connection: str) -> tuple[bool, bool]:
-        """Return whether the link is to be reported now, and whether it has changed but for figures."""
+        """Return whether a report of the link is due, and whether more than figures have changed."""
         supervisor = self.supervisor
         news = supervisor.state, without_counts(self.reason(connection)), supervisor.session
         changed = news != self._published

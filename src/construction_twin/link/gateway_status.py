@@ -72,7 +72,7 @@ class _Tool(_Part):
 
 
 class GatewayStatus(_Part):
-    """What is read of a status, which may hold more; a bare PLC has `kind` and `state` alone."""
+    """The fields that are read of a status; a bare PLC has `kind` and `state` alone."""
 
     kind: Literal["rsi", "plc"] = RSI  # type: ignore[assignment]  # a constant
     state: str = OFFLINE

@@ -65,7 +65,7 @@ class ArmAndStream:
         self._pose, self._pose_at = q, now
 
     def on_command(self, q: tuple[float, ...], now: int) -> None:
-        """Store a command that wants to be sent [rad]."""
+        """Store a command to be sent [rad]."""
         # before the first one, and after a pause, it is not known how it moved
         if q != self._command or now - self._command_at >= FRESH:
             self._command_rests_since = now
@@ -84,7 +84,7 @@ class ArmAndStream:
         return self.pose_is_fresh(now) and now - self._moved_at >= REST
 
     def why_not_at_rest(self, now: int) -> str:
-        """Return why the arm does not count as at rest; "" when it does."""
+        """Return why the arm is not at rest, or unknown to be; "" when it is."""
         return "" if self.at_rest(now) else Sentence("the arm's pose is unknown or still changing; wait until it rests")
 
     def stream_rests(self, now: int) -> bool:
@@ -102,7 +102,7 @@ class ArmAndStream:
 
 
 class LinkObservations(ArmAndStream):
-    """The newest of everything that the link is decided by.
+    """The newest inputs of the link's decisions.
 
     Attributes:
         status: The gateway's last one; `NO_STATUS` while there is no connection.
@@ -129,7 +129,7 @@ class LinkObservations(ArmAndStream):
             self.status, self._other_at = NO_STATUS, -STATUS_TIMEOUT
 
     def on_status(self, status: GatewayStatus, now: int) -> str:
-        """Store what came on `status`; return why it does not count, "" when it does."""
+        """Store a status; return why it is ignored, "" when it counts."""
         problem = "" if self._bare else self._why_not_believed(status, now)
         if status.kind != PLC and status.run != self.status.run:
             if problem and status.state != OFFLINE:
@@ -143,7 +143,7 @@ class LinkObservations(ArmAndStream):
         return problem
 
     def _why_not_believed(self, status: GatewayStatus, now: int) -> str:
-        """Return why a status does not count: while a gateway answers, only its own run may end a motion."""
+        """Return why a status is ignored: while a gateway answers, only its own run may end a motion."""
         known = self.status
         if known.state == OFFLINE or now - self._status_at > STATUS_TIMEOUT:
             return ""
@@ -173,7 +173,7 @@ class LinkObservations(ArmAndStream):
             self._stopped_in, self._stop_reason = run, status.reason
 
     def forget_stop(self) -> None:
-        """Forget what was stopped before: the link is armed, and a person has asked for that."""
+        """Forget earlier stops: the link is armed, at a person's request."""
         self._stopped_in = ""
 
     @property
@@ -183,7 +183,7 @@ class LinkObservations(ArmAndStream):
 
     @property
     def stopped_before(self) -> str:
-        """The same of a former run, which a run that begins anew forgets."""
+        """`stop_reason` of a former run, which a new run forgets."""
         return self._stop_reason if self._stopped_in not in ("", self.status.run) else ""
 
     @property

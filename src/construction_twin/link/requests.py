@@ -178,7 +178,7 @@ class ReviewRequest:
 
     @property
     def recorded_reason(self) -> str:
-        """The reviewer's words on record: what came by MQTT was not said at this machine."""
+        """The reviewer's reason on record, marked as received by MQTT."""
         who = f"by MQTT, which says it is {self.says!r}" if self.says else "by MQTT"
         return f"{who}: {self.reason}" if self.reason else who
 
@@ -200,7 +200,7 @@ class Verdict(Request):
         return self
 
     def by(self, account: str) -> ReviewRequest:
-        """Return the verdict on record; without an account it is in the name that it says."""
+        """Return the verdict on record; without an account under the name in the message."""
         says = self.reviewer if account and self.reviewer != account else ""
         names = {"reviewer": account or self.reviewer, "account": account, "says": says}
         return ReviewRequest(**dict(self) | names, override_rehearsal=isinstance(self, Override))

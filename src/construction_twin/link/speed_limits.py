@@ -31,7 +31,7 @@ _KEYS = ("person", "limit", "replaced", "replaced_person", "since")
 
 
 def read_people(path: Path) -> tuple[SpeedChange, str]:
-    """Return people's limit, and why it is unknown or no other could be kept, "" where it is not.
+    """Return people's limit, and why it is unknown or cannot be saved, "" where it can.
 
     The file has its room from the first start on, so that a full disk takes every limit; a mark beside it says that there was one.
     """
@@ -56,7 +56,7 @@ def _people(found: Mapping[str, Any]) -> SpeedChange:
 
 
 def write_people(path: Path, people: SpeedChange) -> str:
-    """Write people's limit; return why that failed, "" when it did not. Then it is unknown after a restart."""
+    """Write people's limit; return the sentence of a failure, "" for none."""
     try:
         write_in_place(path, json.dumps(dict(zip(_KEYS, astuple(people)))) + "\n", MIN_BYTES)
     except OSError as error:
@@ -133,7 +133,7 @@ class SpeedLimits:
         return SpeedChange(person, limit, before.limit, before.person, at)
 
     def state_report(self, now: int) -> SpeedReport | None:
-        """Return what is in force at `now` [ns, monotonic]; None before anybody has set a limit."""
+        """Return the limit in force at `now` [ns, monotonic]; None before the first limit."""
         program, people = self.program, self.people
         allowed = program.update(now)
         if not program.name and people == NOBODY:

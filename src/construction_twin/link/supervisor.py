@@ -75,7 +75,7 @@ class LinkSupervisor:
 
     @property
     def waits_for(self) -> str:
-        """Why only a person leads on, for the process after this one; "" when nothing stands against arming.
+        """Why a person has to act, saved for a restarted bridge; "": arming is free.
 
         A request counts until the link is armed: should this process end before, it has failed for the person who made it.
         """
@@ -98,7 +98,7 @@ class LinkSupervisor:
     # -- what comes in
 
     def on_command(self, q: tuple[float, ...], now: int) -> str:
-        """Store a command that wants to be sent [rad]; return the session that may send it, "" for none."""
+        """Store a command to be sent [rad]; return the session that may send it, "" for none."""
         self.inputs.on_command(q, now)
         return self.session if self.state is LinkState.ARMED else ""
 
@@ -135,7 +135,7 @@ class LinkSupervisor:
         self._want_session()
 
     def request_arm(self, now: int, person: str = "") -> None:
-        """Raise ReviewError: the link arms by itself where nothing stands against it; what does, `request_reset` alone lifts."""
+        """Raise ReviewError: the link arms by itself, and `request_reset` removes what prevents it."""
         if self.state is not LinkState.NEEDS_RESET:
             raise ReviewError(Sentence("nothing to arm: {why}", why=self.sentence))
         raise ReviewError(Sentence("cannot arm: {why}", why=self.reason))
@@ -145,7 +145,7 @@ class LinkSupervisor:
         self.requests += 1
 
     def _why_not_now(self, now: int, mirrors: bool = False) -> str:
-        """Return why neither a session nor mirror mode can begin; a gateway that only reads is enough for the latter."""
+        """Return the obstacle to a session, or in mirror mode to following; "" for none."""
         if missing := self.inputs.obstacle(now, mirrors):
             return missing[1]
         if self.inputs.status.has_failed:
@@ -153,7 +153,7 @@ class LinkSupervisor:
         return self.inputs.why_not_at_rest(now)
 
     def withdraw(self, request: int, reason: str) -> None:
-        """Give up a person's request that was answered as failed, unless a person has asked again: nothing is armed until one does.
+        """Withdraw a person's failed request, unless there is a newer one: arming waits for the next.
 
         The gateway gets a stop: an `arm` that is still under way arms nothing then, and a bridge that is started again waits
         for a person too. Where mirror mode began since, it goes on, and has ended the request's session at the gateway.
@@ -225,7 +225,7 @@ class LinkSupervisor:
         self.state, self.reason = state, reason
 
     def _update_state(self, now: int) -> None:
-        """Decide which side may command: broker, gateway and arm are there."""
+        """Choose the side that commands, with broker, gateway and arm there."""
         known, status = self.inputs, self.inputs.status
         if self.mirrors:
             self._enter(LinkState.MIRROR, _ARM_LEADS)
@@ -401,7 +401,7 @@ class BareSupervisor(LinkSupervisor):
         self._begin_session(Sentence("{name} has taken the responsibility; twin and arm take the same pose", name=name))
 
     def withdraw(self, request: int, reason: str) -> None:
-        """Give up arming, because the poses do not meet in time: it must not happen later, when the person is gone."""
+        """Withdraw an arming whose poses did not meet in time: later the person may be gone."""
         if request == self.requests and self.state is LinkState.RESYNC:
             self.halt(reason)
 

@@ -112,7 +112,7 @@ class ToolLink:
 
 
 def tool_report(status: GatewayStatus) -> ToolReport:
-    """Return the tool in a status."""
+    """Return the report of the tool in a status."""
     if status.tool is None:
         return ToolReport(reason=Sentence("the gateway's configuration has no tool: a robot without hands"))
     tool, states = status.tool, {state.word: state for state in SwitchState}

@@ -1,4 +1,4 @@
-"""A mock robot controller: no clock, no socket, one call per controller cycle. What it speaks is its make's.
+"""A mock robot controller of any make: no clock, no socket, one call per controller cycle.
 
 `begin_cycle` opens cycle k and returns packet k; `receive` takes what arrives during it; the next `begin_cycle` closes it: the
 valid reply k, or what an axis keeps when there is none, becomes its setpoint, the servo moves, and packet k + 1 reports where it
@@ -155,7 +155,7 @@ class MockController:
 
     @property
     def status(self) -> ControllerStatus:
-        """What telegrams say of the controller, where they have channels for it."""
+        """The controller's status, for telegrams with channels for it."""
         return self._status(self._shown)
 
     @property
@@ -195,11 +195,11 @@ class MockController:
 
     @property
     def _followed(self) -> tuple[float, ...]:
-        """What a telegram says that the axes follow [rad], shape (n,)."""
+        """The setpoint in a telegram [rad], shape (n,)."""
         return self.setpoint if self._absolute else self.start_pose
 
     def receive(self, data: bytes, in_time: bool = True) -> bool:
-        """Take a datagram in the open cycle, `in_time` or too late; return whether it is the reply: all else is counted."""
+        """Handle a datagram in the open cycle, `in_time` or too late; return whether it is the reply."""
         if not self.running or self._decode is None:
             return self._count("unexpected")
         if self.ignores_replies:

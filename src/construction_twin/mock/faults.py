@@ -44,7 +44,7 @@ class ImpairedLine:
 
     @property
     def active(self) -> bool:
-        """Whether datagrams must come here; delayed ones are still delivered after the fault has ended."""
+        """Whether datagrams pass through this line: a fault is on, or delayed ones are queued."""
         return bool(self.drop or self.duplicate or self.delay or self.jitter or self._queue)
 
     def send(self, data: bytes, now: int) -> None:
@@ -144,7 +144,7 @@ class Fault:
 
     @property
     def subject(self) -> str:
-        """What of the controller it concerns: one of these has a fault once."""
+        """The part of the controller that is faulty; it has one fault at a time."""
         return self.axis or self.direction
 
     def __str__(self) -> str:
@@ -266,7 +266,7 @@ class FaultBoard:
         return actions[fault.name]
 
     def _channel(self, fault: Fault):
-        """Return what lets an optional channel say something else, and what is again."""
+        """Return the acts that falsify an optional channel, and restore it."""
 
         def tell(value: float | None) -> None:
             self.controller.status_shown = replace(self.controller.status_shown, **{fault.name: value})  # type: ignore[arg-type]

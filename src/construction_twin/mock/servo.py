@@ -87,7 +87,7 @@ class Servo(ABC):
             self._chase(joint, velocity, acceleration)
 
     def push(self, joint: int, torque: float) -> None:
-        """Have something push on an axis with this torque [N m], in the axis' own sense, until it is 0 again."""
+        """Apply an external torque to an axis, in its own sense, until it is 0 again [N m]."""
         raise ConstructionTwinError("a collision needs a mock arm with mass: start it with servo:=physics")
 
     def _chase(self, joint: int, velocity: float, acceleration: float) -> None:
@@ -186,7 +186,7 @@ class Chase:
         self._budget = acceleration * period * period
 
     def aim(self, setpoint: float) -> float:
-        """Take the setpoint of this cycle [rad]; return the step that the limits allow towards it [rad]."""
+        """Set the setpoint of this cycle [rad]; return the permitted step towards it [rad]."""
         drift = setpoint - self._setpoint
         self._setpoint = setpoint
         ahead = setpoint - self.position
@@ -207,7 +207,7 @@ class Chase:
         return min(max(step, self.step - self._budget), self.step + self._budget)
 
     def move(self, step: float | None = None) -> float:
-        """Take the step that `aim` allowed, or another one [rad]; return the new position [rad]."""
+        """Apply the step of `aim`, or another one [rad]; return the new position [rad]."""
         if step is not None:
             self.met = False
         elif self.met:

@@ -118,7 +118,7 @@ class Gate:
 
     @property
     def reason(self) -> str:
-        """Why that state was entered, and why it is not left although the poses agree."""
+        """Why the state was entered, and what keeps it although the poses agree."""
         if not self._obstacle:
             return self._entered_for
         return Sentence("{reason}; not opened: {obstacle}", reason=self._entered_for, obstacle=self._obstacle)
@@ -134,7 +134,7 @@ class Gate:
 
     @property
     def policy(self) -> str:
-        """What happens after a violation: of a closed gate, what was set when it closed."""
+        """The policy after a violation: of a closed gate, the one at its closing."""
         return self.settings.policy if self.state in (SyncState.WAITING, SyncState.IN_SYNC) else self._policy
 
     @property
@@ -150,7 +150,7 @@ class Gate:
     # -- the table
 
     def fire(self, event: SyncEvent, reason: str, now: int) -> bool:
-        """Take an event: the first row of the table whose guard is true counts; return whether there was one."""
+        """Apply the first row of the table whose guard holds; return whether there was one."""
         self._obstacle = ""
         row, comparison, held_stamp = self._row(event, now), self.comparison.last, self.held_stamp
         if row is None:
@@ -227,7 +227,7 @@ class Gate:
             raise ConfigurationError("the gate", self.state.name, expected)
 
     def configure(self, settings: GateSettings, reason: str, now: int) -> None:
-        """Go on with other settings, from rest; the change is a transition."""
+        """Apply other settings at rest, as a transition."""
         self.check_rest(now)
         comparison = settings.comparison_settings(self._limits)
         if self.servo_watch is not None:
@@ -239,7 +239,7 @@ class Gate:
     # -- poses
 
     def on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Take the twin's pose [rad] with the stamp of the command it executes [ns]."""
+        """Store the twin's pose [rad] with the stamp of the command it executes [ns]."""
         self.comparison.twin.add(stamp, q)
 
     def on_physical(
@@ -277,7 +277,7 @@ class Gate:
         return comparison
 
     def _on_difference(self, comparison: Comparison, servos: ServoDifference | None, now: int) -> None:
-        """Take that the poses differ, or the servos have the arm elsewhere; close the gate where that closes it."""
+        """Record a difference from the twin or the servo model; close the gate where it is open."""
         closes = self._row(SyncEvent.POSE_DIFFERS, now) is not None
         if not self._compares or (self._difference is not None and not closes):
             return
@@ -331,7 +331,7 @@ class Gate:
         return passed
 
     def watch(self, now: int) -> None:
-        """Close an open gate when feedback has gone stale, give up on a closed one: also while no theta_next comes."""
+        """Close on stale feedback, and give up a long hold: also while no theta_next comes."""
         if self.state is SyncState.IN_SYNC:
             if self._compares and not self._is_fresh(now) and self._last_feedback is not None:
                 age = (now - self._last_feedback) / NANOSECONDS
@@ -353,7 +353,7 @@ class Gate:
         return last is not None and now - last <= self.settings.feedback_timeout * NANOSECONDS
 
     def _close(self, event: SyncEvent, reason: str, now: int) -> None:
-        """Take a violation, and see whether that is the end of it."""
+        """Close the gate for a violation, and stop it where policy or number of holds demand that."""
         if self.fire(event, reason, now):
             self._violation = Cause(reason, self._closed_at)
         self.fire(SyncEvent.POLICY_STOP, Sentence("the policy is to stop; {reason}; call reset", reason=reason), now)

@@ -1,4 +1,4 @@
-"""What surrounds the gate: the session, settings at rest, the plan to ask for after a hold, and what is told of its state."""
+"""The gate's surroundings: session, settings at rest, the plan to request after a hold, reports."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class ReplanGoal:
 
 @dataclass(frozen=True)
 class Replan:
-    """A plan to ask for: to the goal of the plan that was interrupted; `violation` says by which hold."""
+    """A plan to request: to the goal of the plan that was interrupted; `violation` says by which hold."""
 
     held: tuple[float, ...]
     wanted: ReplanGoal
@@ -57,7 +57,7 @@ class Replan:
 
 @dataclass(frozen=True)
 class _PlayState:
-    """What the executor did when it was last heard: whether it played that plan, and was not told to stop or to pause."""
+    """The executor's last state: whether it played that plan, with neither stop nor pause requested."""
 
     plan_id: str = ""
     playing: bool = False
@@ -92,7 +92,7 @@ class Monitor:
         return self._session if self.gate.state is SyncState.STOPPED else ""
 
     def on_link(self, session: str, leads: bool, now: int) -> None:
-        """Take the link's session, and whether the arm leads; a new session restarts the gate."""
+        """Store the link's session, and whether the arm leads; a new session restarts the gate."""
         self.gate.set_mirrored(leads, now)
         if session and session != self._session:
             if self._session:
@@ -122,7 +122,7 @@ class Monitor:
     def on_plan(
         self, plan_id: str, goal: Sequence[float], velocity_use: Sequence[float], acceleration_use: Sequence[float]
     ) -> None:
-        """Take a plan that was offered; its use of the limits per joint, as measured by the planner."""
+        """Store an offered plan's goal, and its use of the limits per joint."""
         speed, acceleration = (min(1.0, max(use, default=0.0)) for use in (velocity_use, acceleration_use))
         self._goals[plan_id] = ReplanGoal(plan_id, tuple(goal), speed, acceleration)
         old = [known for known in self._goals if known not in (self._played.plan_id, plan_id)]
@@ -130,13 +130,13 @@ class Monitor:
             del self._goals[known]
 
     def on_execution(self, plan_id: str, executing: str, playing: bool, moment: str) -> None:
-        """Take what the executor did at a moment: its state as a word while it follows the plan, else empty."""
+        """Store the executor's state at a moment: a word while it follows the plan, else empty."""
         self._executing = executing and f"plan {plan_id} is {executing}"
         self._played = _PlayState(plan_id, playing, moment)
 
     @property
     def interrupted(self) -> ReplanGoal | None:
-        """Goal to plan to when the gate closes now.
+        """Goal of a re-plan if the gate closed now.
 
         None when nothing plays: what a person stops or pauses is not taken up by itself. Nor is a plan that stands still.
         """
@@ -147,7 +147,7 @@ class Monitor:
         return replace(found, last_played=played.moment)
 
     def pop_transitions(self) -> tuple[list[Transition], Replan | None]:
-        """Return the gate's transitions, and the plan to ask for when it has just closed, before the change is heard."""
+        """Return the gate's transitions, and the plan to request when it has just closed."""
         changes = self.gate.pop_transitions()
         first, wanted = changes[0], self.interrupted
         closed = first.source is SyncState.IN_SYNC and first.target is not SyncState.IN_SYNC
@@ -160,7 +160,7 @@ class Monitor:
         return changes, replan if asks else None
 
     def on_replan_failed(self, replan: Replan, problem: str, now: int) -> None:
-        """Take that there will be no new plan; in another hold it means nothing."""
+        """End the wait for a new plan; no effect in another hold."""
         if self.gate.violations == replan.violation:
             failed = Sentence("re-plan failed: {problem}", problem=problem)
             self.gate.fire(SyncEvent.REPLAN_FAILED, failed, now)
@@ -199,7 +199,7 @@ class Monitor:
         )
 
     def values(self) -> dict[str, object]:
-        """Return what `/diagnostics` says of the gate."""
+        """Return the gate's values for `/diagnostics`."""
         gate, watch = self.gate, self.gate.servo_watch
         last = gate.comparison.last
         values: dict[str, object] = {
@@ -220,7 +220,7 @@ class Monitor:
 
 
 class TransitionLogError(ConstructionTwinError):
-    """A change of the monitor's state cannot be written down; it is kept and tried again."""
+    """A transition cannot be written; it stays queued."""
 
     def __init__(self, path: str, problem: str):
         super().__init__(f"{path}: {problem}; transitions are kept in memory until the file can be written")
@@ -235,13 +235,13 @@ class TransitionLog:
         self._recent: deque[Transition] = deque(maxlen=SHOWN)
 
     def add(self, change: Transition) -> None:
-        """Keep a transition until `flush`."""
+        """Queue a transition for `flush`."""
         self._file.defer(change.at, transition_fields(change, self._names))
         self._recent.appendleft(change)
         self._count += 1
 
     def flush(self) -> None:
-        """Write what is kept; waits for the disk."""
+        """Write queued transitions (background thread only)."""
         try:
             self._file.flush()
         except TransitionLogError as error:
@@ -250,7 +250,7 @@ class TransitionLog:
             self.fault = ""
 
     def values(self) -> dict[str, str]:
-        """Return what `/diagnostics` shows."""
+        """Return the values for `/diagnostics`."""
         recent = enumerate(tuple(self._recent), start=1)
         values = {f"transition {number}": f"{iso_time(change.at)} {change}" for number, change in recent}
         log = {"transition log": str(self._file.path), "transitions lost to the log": str(self._file.lost)}
@@ -272,5 +272,5 @@ def transition_fields(change: Transition, names: Sequence[str]) -> dict:
 
 
 def _by_joint(names: Sequence[str], values: Sequence[float]) -> dict[str, float | None]:
-    """Return values by joint name; JSON has no word for what is no number."""
+    """Return values by joint name, nan and infinity as None."""
     return {name: value if math.isfinite(value) else None for name, value in zip(names, values)}

@@ -1,4 +1,4 @@
-"""Is the arm where its servos should have it? The model of the servos is driven by the targets that the controller really took.
+"""Comparison of the arm with the model of its servos, driven by the targets that the controller really took.
 
 What the controller took in a cycle is told by the command stamp of the pose at its end: the commands at that stamp, by the
 playout's own interpolation. A reply that did not arrive is in it: its stamp comes twice. What is not in it is how the gateway
@@ -57,7 +57,7 @@ class Refinement:
                     self.due = True
 
     def apply(self) -> dict[str, float]:
-        """Let what was learned take effect in `model`, at rest; return the changes of lags by joint [s], {} for none."""
+        """Apply what was learned to `model`, at rest; return the changes of lags by joint [s], {} for none."""
         changes, later = {}, list(self.added_lags)
         for joint, (name, slope) in enumerate(zip(self.model.names, self._sums)):
             if slope.count < ENOUGH:
@@ -88,7 +88,7 @@ class _Slope:
         self._with_y = [0.0] * 3
 
     def add(self, x: float, y: float) -> None:
-        """Take a pair of values."""
+        """Add a pair of values."""
         self.count += 1
         # of the size of a speed, so that no sum drowns another
         self._late += 1.0 / ENOUGH
@@ -117,7 +117,7 @@ class _Slope:
 
 @dataclass(frozen=True)
 class ServoDifference:
-    """A joint, by its index, that is not where its servo should have it: the one that uses most of its threshold [rad], [m]."""
+    """The joint, by its index, that uses most of its threshold against the servo model [rad], [m]."""
 
     joint: int
     residual: float
@@ -150,7 +150,7 @@ class ServoWatch:
         self._threshold = tuple(threshold)
 
     def restart(self) -> None:
-        """Forget commands and motion, not what was learned of the servos: a new command session."""
+        """Forget commands and motion, and keep what was learned of the servos: a new command session."""
         self._commands = TwinHistory()
         self.forget_commands()
 
@@ -169,7 +169,7 @@ class ServoWatch:
         self._streak = 0
 
     def on_command(self, stamp: int, command: tuple[float, ...]) -> None:
-        """Take a command that goes to the arm, shape (n,), with its stamp [ns]."""
+        """Store a command that goes to the arm, shape (n,), with its stamp [ns]."""
         self._commands.add(stamp, command)
 
     def on_pose(self, q: Sequence[float], seq: int, command_stamp: int, in_sync: bool) -> ServoDifference | None:
@@ -198,7 +198,7 @@ class ServoWatch:
         return self.difference
 
     def refine(self) -> dict[str, float]:
-        """Let what was learned of the servos take effect, at rest; return the change of each joint's lag by its name [s]."""
+        """Apply what was learned of the servos, at rest; return the change of each joint's lag by its name [s]."""
         changes = self.refinement.apply()
         if changes and self._state is not None:
             self._state.configure(self.refinement.model)

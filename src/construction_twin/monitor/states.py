@@ -22,7 +22,7 @@ class SyncState(Enum):
 
 
 class SyncEvent(Enum):
-    """What can happen to the gate; values are the words of `Transition.msg`."""
+    """Event of the gate; values are the words of `Transition.msg`."""
 
     STARTED = "started"
     NEW_SESSION = "new_session"
@@ -43,7 +43,7 @@ class SyncEvent(Enum):
 
 
 class Guard(Enum):
-    """What must hold for a row to count; the values are the words of the documentation."""
+    """Condition of a row; the values are the words of the documentation."""
 
     ALWAYS = ""
     UNCOUNTED = "the present hold was not counted yet"

@@ -63,7 +63,7 @@ class Account:
         return lines[0]
 
     def context(self) -> ssl.SSLContext:
-        """Return what makes a TLS connection: TLS 1.2 or newer, the broker's chain and host name checked."""
+        """Return the TLS context: TLS 1.2 or newer, the broker's chain and host name checked."""
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         # a renegotiation would make reads wait for writes and writes for reads
@@ -140,7 +140,7 @@ class Broker:
 
 
 def unique_id(robot: str, role: str) -> str:
-    """Return a client id that cannot be guessed: who connects with another one's id takes its connection away."""
+    """Return a random client id: a second client with the same id would take over the connection."""
     return f"{robot}-{role}-{secrets.token_hex(8)}"
 
 
@@ -149,7 +149,7 @@ OFFLINE = json.dumps({"state": "offline", "reason": "connection lost"})
 
 
 def offline_word(run: str, connection: int) -> str:
-    """Return a last will that names run and connection: a broker may notice late that one is lost."""
+    """Return a last will with run and connection, by which a late one is known."""
     return json.dumps({"state": "offline", "reason": "connection lost", "run": run, "connection": connection})
 
 

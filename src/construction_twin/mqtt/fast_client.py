@@ -201,7 +201,7 @@ class FastClient(paho.Client):
             return super().loop_write()
 
     def _packet_read(self) -> MQTTErrorCode:
-        """Take the next packet in one piece where it is a joint string; otherwise nothing was taken, and paho reads it."""
+        """Read the next packet in one piece where it is a joint string; leave others to paho."""
         sock: object = self._sock
         # only a TCP socket shows bytes without taking them; a TLS socket does not
         if type(sock) is not socket.socket or self._in_packet["command"]:

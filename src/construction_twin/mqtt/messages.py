@@ -55,11 +55,11 @@ class Topics:
         return f"{self.prefix}/{self.robot}/{name}"
 
     def of(self, kind: RequestKind, account: str = "+") -> str:
-        """Where one account's requests of a kind come in; ``+``: any account's."""
+        """Topic of one account's requests of a kind; ``+``: any account's."""
         return self._topic(kind.topic.format(account))
 
     def ack_of(self, kind: RequestKind) -> str:
-        """Where they are answered."""
+        """Topic of the answers to them."""
         return self._topic(kind.ack)
 
     #: Joint strings to the arm, and from it.

@@ -16,7 +16,7 @@ GATEWAY, EXECUTOR, BRIDGE = "gateway", "executor", "bridge"
 
 @dataclass(frozen=True)
 class Answer:
-    """Every field of an answer, with its value while no more is known; a kind of request has some of them.
+    """All fields of an answer, with defaults; a kind of request has some of them.
 
     Attributes:
         account, sender: Who asked, by the topic; "": no name.
@@ -132,5 +132,5 @@ ANSWERS = 10
 
 
 def answer_limits() -> SenderLimits:
-    """Return what keeps `ANSWERS`."""
+    """Return the limits of `ANSWERS`."""
     return SenderLimits(Pace(ANSWERS))

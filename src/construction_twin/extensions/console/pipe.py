@@ -101,7 +101,7 @@ class TokenBucket:
 
 
 class Pipe:
-    """Carries the bytes of one browser, and tells when the broker accepts the login, or says that it is wrong."""
+    """Carries the bytes of one browser, and reports an accepted or a wrong login."""
 
     def __init__(
         self,

@@ -124,7 +124,7 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
 
 
 def _own_tls(certificate: Path, key: Path) -> ssl.SSLContext:
-    """Return what the console shows to browsers; ConfigurationError when the files are no PEM, or do not fit each other."""
+    """Return the TLS of the console itself; ConfigurationError when the files are no PEM, or do not fit each other."""
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     try:
         # a key with a passphrase is refused: nobody is there to type it
@@ -143,7 +143,7 @@ def _broker_tls(ca: Path) -> ssl.SSLContext:
 
 
 def _check_rights(path: Path) -> None:
-    """Check that a file is a list of rights: with another one the page would draw everything, and nobody would know why."""
+    """Check that a file is a list of rights."""
     expected = "rights.json as make_site writes it: console/rights.json of the site"
     try:
         document = json.loads(path.read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""`plan`, `path` and `scene` on MQTT: what a tablet gets to see of a plan and of a scene. SI: m, rad, s. Pure."""
+"""`plan`, `path` and `scene` on MQTT: a plan and a scene for a tablet. SI: m, rad, s. Pure."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ def sampled_points(count: int, points: int, required: Sequence[int] = ()) -> lis
 
 
 class PlanBoard:
-    """What `plan` holds on MQTT; an empty payload: nothing. A verdict may come before its plan."""
+    """The payload of `plan` on MQTT, empty for none; a verdict may come before its plan."""
 
     def __init__(self):
         self._decided = ""

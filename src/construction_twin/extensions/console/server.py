@@ -219,7 +219,7 @@ class ConsoleServer:
         return _file(folder, name, "private, ")
 
     def _session(self, request: web.Request, answer: web.StreamResponse) -> str:
-        """Return a browser's session; one that has none gets one.
+        """Return a browser's session, a new one where it has none.
 
         Without a path a browser keeps it for the folder of the page's address, also behind a proxy that serves several consoles.
         """
@@ -295,7 +295,7 @@ def _file(folder: Path | None, name: str, who: str = "") -> web.FileResponse:
 
 
 def _is_own_error(record: logging.LogRecord) -> bool:
-    """Return whether aiohttp logs an error of this program: not a request that is none, nor a connection that has broken."""
+    """Return whether a record of aiohttp is an error of this program: no malformed request or broken connection."""
     error = record.exc_info[1] if record.exc_info else None
     # asyncio's sendfile with TLS stumbles over a connection that has broken
     return not any(

@@ -23,7 +23,7 @@ class Level(IntEnum):
 
 @dataclass(frozen=True)
 class Wording:
-    """What is said of a state: a sentence, who of `startup.WHO` is waited for, for what, what to do, and a page below docs/."""
+    """The words for a state: a sentence, who of `startup.WHO` is waited for, for what, what to do, and a page below docs/."""
 
     level: Level
     who: str
@@ -307,7 +307,7 @@ def status_lines(reports: CurrentReports) -> list[Line]:
 
 
 def work_state(work: WorkReport) -> str:
-    """Return the state of the whole work, as `TABLE` has it."""
+    """Return the state of the whole work, a key of `TABLE`."""
     states = {task.state for task in work.tasks}
     if not states:
         return "unavailable"

@@ -82,7 +82,7 @@ class SimulatedArm:
         return self.data.qpos[self._joints].copy()
 
     def begin_with(self, speed: np.ndarray) -> None:
-        """Have the arm move already, shape (n,) [rad/s]."""
+        """Set the speed of an arm at rest, shape (n,) [rad/s]."""
         self._speed = np.array(speed, dtype=float)
         self.data.qvel[self._joints] = speed
 
@@ -193,12 +193,12 @@ class GravityTorque:
         return self._product[self._physics.joints]
 
     def kinetic(self, data: mujoco.MjData) -> float:
-        """Return the kinetic energy of the arm with what it carries [J]; what falls or is pushed is none of it."""
+        """Return the kinetic energy of the arm and its load [J]."""
         self._speed[self._physics.joints] = data.qvel[self._physics.joints]
         mujoco.mj_mulM(self._physics.model, data, self._product, self._speed)
         return 0.5 * float(self._speed @ self._product)
 
 
 def is_broken(data: mujoco.MjData) -> bool:
-    """Return whether the numbers are no motion any more; MuJoCo itself starts anew then, and counts."""
+    """Return whether the simulation has diverged, or MuJoCo has reset itself."""
     return not np.isfinite(data.qpos).all() or any(data.warning[kind].number for kind in _BROKEN)

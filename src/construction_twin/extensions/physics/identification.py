@@ -52,7 +52,7 @@ class RecordedMotion:
 
 @dataclass(frozen=True)
 class IdentifiedJoint:
-    """What was found of a joint.
+    """An identified joint.
 
     Attributes:
         lag_error: Standard deviation of its lag [s].

@@ -1,4 +1,4 @@
-"""What a plan asks of the arm, against what that may carry and give, and when a rehearsal has failed. SI."""
+"""A plan's loads against the arm's ratings, and the reasons for a failed rehearsal. SI."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ class Track:
         np.maximum(self.off, np.abs(q - arm.answer), out=self.off)
 
     def axes(self, names: Sequence[str], times: np.ndarray) -> tuple[AxisLoad, ...]:
-        """Return what each axis had to give; `times`: of the cycles [s]."""
+        """Return the load of each axis; `times`: of the cycles [s]."""
         torques, gravity = np.array(self.torques), np.array(self.gravity)
         found = []
         for joint, name in enumerate(names):
@@ -193,7 +193,7 @@ class Track:
         return tuple(found)
 
     def energy(self) -> float:
-        """Return what the drives have put in [J]."""
+        """Return the energy that the drives put in [J]."""
         return float(np.sum(np.abs(np.array(self.torques) * np.array(self.speeds))) * CYCLE)
 
 

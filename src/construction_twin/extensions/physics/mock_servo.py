@@ -55,7 +55,7 @@ class Plant:
         self._arm.freeze(joint, position)
 
     def push(self, joint: int, torque: float) -> None:
-        """Have something push on one joint with this torque [N m], [N], until it is 0 again."""
+        """Apply an external torque to a joint, until it is 0 again [N m], [N]."""
         self._push[joint] = torque
 
     def cycle(self, setpoint: np.ndarray, cycles: int = 1) -> None:
@@ -87,7 +87,7 @@ class PhysicsServo(Servo):
         self._resolution = resolution
 
     def push(self, joint: int, torque: float) -> None:
-        """Have something push on an axis with this torque [N m], in the axis' own sense, until it is 0 again."""
+        """Apply an external torque to an axis, in its own sense, until it is 0 again [N m]."""
         self._plant.push(joint, self._signs[joint] * torque)
 
     def _start(self, q: tuple[float, ...]) -> None:

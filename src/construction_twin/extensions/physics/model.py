@@ -278,7 +278,7 @@ class _Builder:
                 self._owners.append(one.owner)
 
     def _touchable(self, one: Body) -> list[coal.CollisionGeometry | np.ndarray]:
-        """Return what MuJoCo can have of a shape: itself, or convex bodies by their corners."""
+        """Return a shape as MuJoCo takes it: itself, or convex bodies by their corners."""
         geometry = one.geometry
         if isinstance(geometry, coal.BVHModelBase):
             vertices, triangles = mesh_triangles(geometry)

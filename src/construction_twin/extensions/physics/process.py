@@ -1,4 +1,4 @@
-"""Builds models and rehearses plans in a process of its own: the node outlives what a simulation does there.
+"""Functions of the worker process that builds models and rehearses plans: the node outlives it.
 
 ``python -m`` with this module's name is the process; `core.worker` carries questions and answers.
 """
@@ -103,7 +103,7 @@ def file_digest(path: str) -> str:
 def load_rehearsal(
     robot: RobotModel, self_collision: str, drives: str, tool: str = "", payload: tuple[float, ...] = ()
 ) -> Rehearsal:
-    """Return what rehearses the plans of an arm; of its files `drives` and `tool` may be empty; `payload` as in `payload_of`."""
+    """Return the `Rehearsal` of an arm; `drives` and `tool` may be empty, `payload` as in `payload_of`."""
     from construction_twin.extensions.physics.grip import SuctionGrip
     from construction_twin.extensions.physics.rehearsal import Rehearsal
 

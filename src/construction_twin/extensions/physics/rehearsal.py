@@ -79,7 +79,7 @@ ENGINE = f"MuJoCo {mujoco.__version__}"
 
 @dataclass(frozen=True, eq=False)
 class Rehearsal:
-    """What rehearses the plans of one arm.
+    """Rehearses the plans of one arm.
 
     Attributes:
         masses: Of objects, by name [kg]. What stands and has one can be tipped over.
@@ -181,7 +181,7 @@ def displacement(before: np.ndarray, now: np.ndarray) -> tuple[float, float, flo
 def come_to_rest(
     build: Callable[[Mapping[str, str]], PhysicsModel], pieces: Mapping[str, str], pose: np.ndarray, servo: Servo
 ) -> RestingBodies | None:
-    """Let bodies come to rest around an arm that stands still; None: the simulation came apart.
+    """Let bodies come to rest around an arm that stands still; None: the simulation diverged.
 
     Args:
         build: Returns the model in which some objects are loose, see `Load.loose`.
@@ -211,7 +211,7 @@ def come_to_rest(
 
 
 def _settle(arm: SimulatedArm, pose: np.ndarray) -> None:
-    """Let everything loose part from what it is inside of, and then lie until it sleeps, for `SETTLING` at most."""
+    """Separate overlapping loose bodies, and simulate until all sleep, for `SETTLING` at most."""
     data = arm.data
     speeds = np.concatenate([arm.speeds_of(body) for body in arm.physics.loose])
     for _ in range(round(_PARTING / CYCLE)):
@@ -307,7 +307,7 @@ class _Run:
         return replace(named, state=FAILED, reasons=(reason,), remarks=tuple(dict.fromkeys(self._remarks)))
 
     def _settle_standing(self, setpoints: np.ndarray) -> bool:
-        """Let what stands before the plan begins come to rest; return False when the simulation came apart."""
+        """Let the standing bodies come to rest before the plan; return False when the simulation diverged."""
         of, scene = self._of, self._parts[0][0]
         names = {item.name for item in scene.objects if not item.link} & of.masses.keys() - self._handled
         known = {self._bodies[name] for name in names} - {self._bodies[name] for name in self._handled}
@@ -367,7 +367,7 @@ class _Run:
         return next((scene for scene, end in self._parts if time < end), self._parts[-1][0])
 
     def _watch(self, scene: Scene, physics: PhysicsModel) -> GripLoadRecorder | None:
-        """Return what looks at the cups while the arm carries something in a scene; None: it does not, or there are none."""
+        """Return the recorder of the cups' load in a scene; None: no load, or no cups."""
         of = self._of
         tip = of.bodies.robot.tip_link
         carried = [item for item in scene.objects if item.link == tip and body_of(item.name) != TOOL]
@@ -389,7 +389,7 @@ class _Run:
     def _play(
         self, arm: SimulatedArm, times: np.ndarray, setpoints: np.ndarray, watch: GripLoadRecorder | None
     ) -> float | None:
-        """Play setpoints; note each cycle's torques, and every step's contacts; return when it came apart [s], None if not."""
+        """Play setpoints, record torques and contacts; return when the simulation diverged [s], None if it did not."""
         physics, data = arm.physics, arm.data
         gravity = GravityTorque(physics)
         for at, setpoint in zip(times.tolist(), setpoints):

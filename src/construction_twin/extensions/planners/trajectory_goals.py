@@ -75,14 +75,14 @@ class TrajectoryGoal:
 
 @dataclass(frozen=True)
 class RequestPlan:
-    """A plan is to be requested from the planner."""
+    """Effect: request a plan from the planner."""
 
     goal: TrajectoryGoal
 
 
 @dataclass(frozen=True)
 class Withdraw:
-    """A plan is to be rejected in its client's name."""
+    """Effect: reject a plan in its client's name."""
 
     plan_id: str
     plan_hash: str
@@ -92,14 +92,14 @@ class Withdraw:
 
 @dataclass(frozen=True)
 class Brake:
-    """The executor is to brake along the path."""
+    """Effect: brake the executor along the path."""
 
     plan_id: str
 
 
 @dataclass(frozen=True)
 class Accept:
-    """A goal is active from now on."""
+    """Effect: make a goal active."""
 
     goal_id: str
     text: str
@@ -107,7 +107,7 @@ class Accept:
 
 @dataclass(frozen=True)
 class Status:
-    """The text of an active goal's status."""
+    """Effect: set the text of an active goal's status."""
 
     goal_id: str
     text: str
@@ -115,7 +115,7 @@ class Status:
 
 @dataclass(frozen=True)
 class End:
-    """A goal has its result."""
+    """Effect: send a goal's result."""
 
     goal_id: str
     ending: Ending
@@ -434,7 +434,7 @@ class TrajectoryGoals:
     # -- results and status
 
     def _finish(self, ending: Ending, code: ResultCode, sentence: str) -> None:
-        """End the goal that has the arm; while its plan is being withdrawn, there may be none."""
+        """End the active goal, if there is one."""
         if self.goal is not None:
             self._end(self.goal, ending, code, sentence)
         self.goal = None

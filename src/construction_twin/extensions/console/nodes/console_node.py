@@ -204,7 +204,7 @@ def _services() -> Services:
 
 
 def _to(part: str, handler: str) -> Callable[[ConsoleNode, Any], object]:
-    """Return what gives a message to a part of the node."""
+    """Return a handler that forwards a message to a part of the node."""
     return lambda node, message: getattr(getattr(node, part), handler)(message)
 
 

@@ -79,7 +79,7 @@ class Connection:
 
     @property
     def fault(self) -> str:
-        """Why nothing comes or goes by it; empty while it is connected."""
+        """Why there is no connection; empty while it is connected."""
         return "" if self._client.is_connected() else self._state.sentence or "connecting to the broker"
 
     @property
@@ -88,7 +88,7 @@ class Connection:
         return self._broker.account is not None
 
     def publish(self, topic: str, payload: bytes, qos: int = 1, retain: bool = False) -> None:
-        """Publish now, or never: later it would be of the past."""
+        """Publish at once, or drop."""
         if self._client.is_connected():
             self._client.publish(topic, payload, qos=qos, retain=retain)
 
@@ -151,7 +151,7 @@ class Endpoint:
 
 
 class IncomingRequest:
-    """One request: its message, and all that is done with it. `account` is "" where the topic names none."""
+    """One request, from its message to its answer. `account` "": none in the topic."""
 
     def __init__(self, endpoint: Endpoint, account: str, payload: bytes, retained: bool):
         self._endpoint, self._connection, self.kind = endpoint, endpoint.connection, endpoint.kind
@@ -172,7 +172,7 @@ class IncomingRequest:
         self.asked = read(how, self._document, kind.name) if isinstance(how, type) else how(self._document)
 
     def carry_out(self) -> None:
-        """Do it, and answer."""
+        """Carry out the request, and answer."""
         refused = None
         try:
             if self.kind.expires and (problem := staleness(self.asked.moment, present_moment())):
@@ -241,7 +241,7 @@ class RequestQueue:
 
     @property
     def waiting(self) -> int:
-        """How many wait."""
+        """Number of waiting requests."""
         return self._waiting.qsize()
 
     def admits(self, request: IncomingRequest) -> bool:
@@ -268,7 +268,7 @@ class RequestQueue:
             self._limits.admit(request.account, now)
 
     def run(self, patience: float = 0.0) -> None:
-        """Carry out all that wait; wait so long [s] for the first one."""
+        """Carry out all waiting requests; wait `patience` [s] for the first one."""
         try:
             (self._waiting.get(timeout=patience) if patience else self._waiting.get_nowait()).carry_out()
             while True:

@@ -223,7 +223,7 @@ class ConsoleRequests:
 
 
 def source_of(says: str, sender: str, proven: bool) -> str:
-    """Return who asked, for the reviewer, with what the sender `says` of itself.
+    """Return the source of a plan, for the reviewer: the account, and the sender's own name, `says`.
 
     Args:
         proven: The broker knows accounts, and by a site's rules only this one writes on that topic.
@@ -250,7 +250,7 @@ def trajectory_message(asked: Any, joints: Joints) -> JointTrajectory:
 
 
 def _timing_notes(asked: Any, answer: PlanTrajectoryResponse) -> list[str]:
-    """Return that the times were replaced, and why, where they were."""
+    """Return a note on replaced times; none where they were kept."""
     if not answer.retimed:
         return []
     requested = (asked.points[-1].time_ns - asked.points[0].time_ns) / NANOSECONDS

@@ -80,20 +80,20 @@ def _rehearse(options: argparse.Namespace) -> int:
 
 
 def _drives_beside(robot_config: str) -> str:
-    """Return the file of the drives that lies beside a robot YAML; none: there is none."""
+    """Return the drives' file beside a robot YAML, or ``none``."""
     file = Path(robot_config)
     drives = file.with_name(f"{file.stem}_drives.yaml")
     return str(drives) if drives.is_file() else "none"
 
 
 def _inputs(options: argparse.Namespace, masses: Mapping[str, float]) -> str:
-    """Return the hash of what decides the result beside plan, scene and tool."""
+    """Return the hash of all inputs beside plan, scene and tool."""
     files = [file_digest(file if file != "none" else "") for file in (options.drives, options.self_collision)]
     return digest(*files, dict(sorted(masses.items())), options.payload)
 
 
 def _trajectory(options: argparse.Namespace, robot: RobotModel) -> tuple[Trajectory, str]:
-    """Return the motion that is to be rehearsed, and the id of its plan in the bag; of a file that is empty."""
+    """Return the motion to rehearse, and the id of its plan in the bag; empty for a file."""
     if options.plan.suffix == ".bag":
         plans = read_plans(options.plan, options.robot)
         if options.plan_id:
@@ -112,7 +112,7 @@ def _trajectory(options: argparse.Namespace, robot: RobotModel) -> tuple[Traject
 
 
 def _plan(trajectory: Trajectory, plan_id: str, scene: Scene) -> Plan:
-    """Return a plan that nobody has checked for contacts: that is what the rehearsal does."""
+    """Return the plan of a motion, unchecked for contacts: the rehearsal checks them."""
     unknown = (float("nan"),) * len(trajectory.joint_names)
     report = PlanReport(Clearance(float("nan")), LimitUsage(unknown, unknown, unknown), 0.0)
     found = trajectory.content_hash()

@@ -215,7 +215,7 @@ class _Builder:
 
 
 def _looks(bodies: RobotBodies) -> dict[int, list[Element]]:
-    """Return the visuals of the URDF by the joint that moves them; a mesh that is not found is an error, as in a collision."""
+    """Return the visuals of the URDF by the joint that moves them."""
     root, packages = ElementTree.fromstring(bodies.robot.urdf), Packages()
     frames = bodies.model.frames
     visuals: dict[int, list[Element]] = {}
@@ -291,7 +291,7 @@ class Settings(PrivateSettings):
 
 
 class GazeboNode:
-    """A scene in; it becomes the server that simulates it."""
+    """ROS around a Gazebo server: waits for a scene, then becomes that server."""
 
     def __init__(self, settings: Settings, robot: RobotModel, node_io: NodeIO):
         self._bodies, self._drives = RobotBodies(robot), read_drives(settings.drives, robot)

@@ -1,4 +1,4 @@
-"""rehearsal: has every plan carried out by the simulated arm as soon as it is made, and publishes what that found (`rehearsal`).
+"""rehearsal: carries out each new plan with a simulated arm, and publishes the result (`rehearsal`).
 
 The simulation is a process of its own (`physics.process`): a rehearsal that breaks off, or takes too long, is `broken`.
 """
@@ -68,14 +68,14 @@ class Settings(PrivateSettings):
 
 
 class _Job(NamedTuple):
-    """A plan that is to be rehearsed, and what its segments make of the scene."""
+    """A plan to rehearse, with its changes of the scene."""
 
     plan: Plan
     changes: tuple[SceneChange, ...]
 
 
 class RehearsalNode:
-    """Plans and scenes in, what their rehearsal found out."""
+    """ROS around a rehearsal in another process: plans and scenes in, results out."""
 
     def __init__(self, settings: Settings, robot: RobotModel, node_io: NodeIO):
         self._time_limit = settings.time_limit

@@ -47,7 +47,7 @@ class LiveTwin:
 
     @property
     def fault(self) -> str:
-        """Why what is shown is not a simulation, or was begun anew; empty: it is one."""
+        """Why the shown pose is not simulated, or was restarted; empty: it is simulated."""
         if self._model is None and not self._next:
             return "nothing is simulated before the scene is known: the twin is at the commanded pose"
         anew = "the simulation was begun anew at the commanded pose, because its numbers had become useless"
@@ -77,7 +77,7 @@ class LiveTwin:
         return tuple(arm.q.tolist())
 
     def _enter_model(self, commanded: tuple[float, ...]) -> None:
-        """Have an arm in the newest model: a new one stands where it is commanded to be, or goes on as the one before."""
+        """Switch to the newest model, at the commanded pose or in the state of the arm before."""
         if self._next:
             before, model = self._arm, self._next.pop()
             self._model = model

@@ -224,7 +224,7 @@ class FollowJointTrajectoryNode:
         self._read_on()
 
     def _read_on(self) -> None:
-        """Wait until the next pose is of interest; rospy reads on then."""
+        """Delay rospy's reading until the next pose is of interest."""
         self._needs_poses.wait(PAUSE)
 
     def on_review(self, message: Review) -> None:
