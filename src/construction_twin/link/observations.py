@@ -178,7 +178,7 @@ class LinkObservations(ArmAndStream):
 
     @property
     def stop_reason(self) -> str:
-        """Why the gateway was stopped in the newest run that showed it, if nobody has reset it; else ""."""
+        """Reason of the stop in the newest run that showed one, until a reset; "" for none."""
         return self._stop_reason if self._stopped_in else ""
 
     @property

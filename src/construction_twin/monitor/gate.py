@@ -245,7 +245,7 @@ class Gate:
     def on_physical(
         self, q: tuple[float, ...], command_stamp: int, now: int, received: int | None = None, seq: int = 0
     ) -> Comparison | None:
-        """Take a physical pose, shape (n,) [rad]; None when the twin's for that stamp is not known. The first difference closes.
+        """Compare a physical pose, shape (n,) [rad]; None: the twin's for that stamp is unknown. The first difference closes.
 
         Args:
             received: Time of reception on the clock of the stamps [ns], for the report alone; by default `now`.

@@ -173,7 +173,7 @@ class ServoWatch:
         self._commands.add(stamp, command)
 
     def on_pose(self, q: Sequence[float], seq: int, command_stamp: int, in_sync: bool) -> ServoDifference | None:
-        """Take a pose of the arm, shape (n,) [rad]; return the present difference, None while there is none, or none is judged.
+        """Compare a pose of the arm, shape (n,) [rad]; return its difference, None for none and while judging is suspended.
 
         Args:
             seq: The gateway's counter of its states, one per cycle; 0: not known.

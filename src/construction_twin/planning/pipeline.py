@@ -60,7 +60,7 @@ class RetimedCollisionError(CollisionError):
 
 
 class NoSceneError(PlanningError):
-    """It is not known what surrounds the arm, so nothing can be planned."""
+    """The scene is unknown, so planning is refused."""
 
     def __init__(self, source: str):
         super().__init__(
@@ -71,7 +71,7 @@ class NoSceneError(PlanningError):
 
 
 class SceneChangedError(PlanningError):
-    """The scene is another one than the one that was planned in."""
+    """The scene has changed since planning began."""
 
     def __init__(self, planned: str, present: str):
         before, now = planned[:8], present[:8]
@@ -138,7 +138,7 @@ class FailedRequest:
 
 
 def _remembered(plan: Callable[..., Plan]) -> Callable[..., Plan]:
-    """Make a method of `PlanningPipeline` keep its last call that failed."""
+    """Decorate a method of `PlanningPipeline` to store its last failed call."""
     form = inspect.signature(plan)
 
     @functools.wraps(plan)

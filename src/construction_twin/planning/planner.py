@@ -45,7 +45,7 @@ DIRECT = "direct"
 
 
 class PlannerSettings(pydantic.BaseModel):
-    """How the planner works. The values, each explained, are in config/planner.yaml; none has a second default here: `shipped`."""
+    """The planner's settings; config/planner.yaml has their values (`shipped`)."""
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
@@ -72,7 +72,7 @@ class PlannerSettings(pydantic.BaseModel):
 
     @property
     def bounds(self) -> PlanBounds:
-        """The largest plan that is made, of any kind."""
+        """Largest plan of any kind."""
         return PlanBounds(self.max_duration, self.max_waypoints)
 
 

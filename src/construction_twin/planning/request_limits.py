@@ -38,7 +38,7 @@ TOOL_STEP = 0.05
 
 @dataclass(frozen=True)
 class PlanBounds:
-    """The largest plan that is made, in s and waypoints."""
+    """The largest plan, in s and waypoints."""
 
     duration: float = math.inf
     waypoints: float = math.inf

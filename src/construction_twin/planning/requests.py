@@ -19,7 +19,7 @@ VERDICT_TIME = 0.1
 
 @dataclass(frozen=True)
 class Answer:
-    """What became of a request, by the names of the services' answers.
+    """The outcome of a request, with the field names of the services' answers.
 
     `fraction` of the path that can be followed; `failure`: the error's class, "" for a plan; `trace` of an unforeseen one.
     """

@@ -1,4 +1,4 @@
-"""The path that a tool is told to follow: lines and circular arcs through waypoints, with stops or blends at the corners.
+"""The commanded path of a tool: lines and circular arcs through waypoints, with stops or blends at the corners.
 
 Poses are ``base_T_tip``. Along a segment the orientation turns at a constant rate about one axis (slerp); a blend is continuous up
 to the second derivative. Every segment gives a pose by its own length, from 0 [m]; its `direction` is the derivative: a unit

@@ -1,4 +1,4 @@
-"""Review: which plan is under review, what was decided about it, and what became of it. Pure."""
+"""The plan under review, verdicts, and ends of executions. Pure."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NOT_REHEARSED = "none"
 
 @dataclass(frozen=True)
 class Rehearsed:
-    """What was known of a plan's rehearsal when it was decided.
+    """A plan's rehearsal at its verdict.
 
     Attributes:
         state: ``passed``, ``failed``, ``broken``, or `NOT_REHEARSED`.
@@ -36,7 +36,7 @@ class Rehearsed:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What was decided about a plan, by whom and why.
+    """A verdict on a plan, with reviewer and reason.
 
     Attributes:
         verdict: ``approved``, ``rejected``, ``refused`` (an approval that could not be taken) or ``withdrawn`` (by the executor).
@@ -60,7 +60,7 @@ class Verdict:
 
     @property
     def answer(self) -> Sentence:
-        """What its reviewer is told, once it was carried out."""
+        """The sentence for its reviewer, once it was carried out."""
         if self.plan is None or not self.approved:
             return Sentence("plan {plan} rejected by {reviewer}", plan=self.plan_id, reviewer=self.reviewer)
         return Sentence(
@@ -73,7 +73,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class ExecutionEnd:
-    """What became of an execution: ``finished``, ``stopped``, ``held`` or ``dropped``, and why."""
+    """The end of an execution: ``finished``, ``stopped``, ``held`` or ``dropped``, and why."""
 
     plan: Plan
     outcome: str
@@ -88,7 +88,7 @@ def check_hash(plan: Plan) -> None:
 
 
 def _check_rests(plan: Plan) -> None:
-    """Raise ReviewError when a work plan does not rest at the end of each segment: there it stands for as long as it takes."""
+    """Check that a work plan rests at the end of each segment, where it waits."""
     trajectory = plan.trajectory
     for segment in plan.segments:
         row = int(trajectory.times.searchsorted(segment.end))
@@ -135,34 +135,34 @@ class PlanUnderReview:
         return replaced
 
     def void(self, now: int) -> Plan | None:
-        """Take the plan out of review, and refuse plans asked for before `now` that are not here yet; return what lay there."""
+        """Remove the plan from review, and refuse plans requested before `now` that arrive later; return the removed one."""
         self.void_requests_before(now)
         return self.clear()
 
     def void_requests_before(self, now: int) -> None:
-        """Refuse plans asked for before `now` [ns of the clock of `Plan.asked`] that are not here yet."""
+        """Refuse plans requested before `now` [ns of the clock of `Plan.asked`] that arrive later."""
         self._void_before = now
 
     def on_scene(self, scene: str) -> Plan | None:
-        """Take the present scene's hash; return the plan taken out of review because it was made for another."""
+        """Store the scene's hash; return the plan removed from review because it was made for another."""
         changed, self.scene = scene != self.scene, scene
         return self.clear() if changed and self.plan is not None and self.plan.scene != scene else None
 
     def clear(self) -> Plan | None:
-        """Take the plan out of review and return it: it can no longer be approved."""
+        """Remove the plan from review and return it: it can no longer be approved."""
         plan, self.plan = self.plan, None
         if plan is not None:
             self._decided.add(plan.id)
         return plan
 
     def decide(self, plan_id: str, plan_hash: str, reviewer: str) -> Plan:
-        """Take the named plan out of review to carry out a verdict on it; arguments and errors are those of `check`."""
+        """Remove the named plan from review for a verdict on it; arguments and errors are those of `check`."""
         plan = self.check(plan_id, plan_hash, reviewer)
         self.clear()
         return plan
 
     def check(self, plan_id: str, plan_hash: str, reviewer: str) -> Plan:
-        """Return the named plan; raise ReviewError when a verdict on it by this reviewer, who must have a name, cannot be taken.
+        """Return the named plan; ReviewError where a verdict on it, or its reviewer's name, is invalid.
 
         `plan_hash` is that of the plan that was looked at; "" when the reviewer did not compare.
         """
@@ -181,7 +181,7 @@ class PlanUnderReview:
         return self.plan
 
     def check_scene(self) -> None:
-        """Raise ReviewError when the plan under review must not be executed: no scene is known, or it was made for another."""
+        """Check that the plan under review was made for the present scene."""
         plan = self.plan
         if plan is None:
             raise ReviewError(Sentence("no plan is under review"))

@@ -1,4 +1,4 @@
-"""The review record: an append-only file of verdicts and of what became of them. Durations in s, distances in m."""
+"""The review record: an append-only file of verdicts and ends of executions. Durations in s, distances in m."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Record = Verdict | ExecutionEnd | Responsibility | Release | SessionRequest | Sp
 
 @dataclass(frozen=True)
 class PlanRecord:
-    """What became of one plan, as the record says.
+    """The record's entries on one plan.
 
     Attributes:
         plan: Its id; empty: the record has none that fits.
@@ -56,7 +56,7 @@ class PlanRecord:
 
 
 def read_plan_record(path: str | Path, plan_id: str, source: str = "") -> PlanRecord:
-    """Return what a review file, which may be being written, says of a plan by its id, or a part of its source."""
+    """Return the entries of a review file on a plan, found by its id or a part of its source."""
     try:
         found = PlanRecord(plan_id, False)
         for fields in read_lines(path):
@@ -89,21 +89,21 @@ class ReviewLog:
             raise
 
     def on_responsible(self, responsibility: Responsibility | None) -> None:
-        """Take who is responsible, and keep a record of it where that is news."""
+        """Store the responsible person, and record a change."""
         before, self.responsibility = self.responsibility, responsibility
         if responsibility is not None and responsibility != before:
             self.defer(responsibility)
 
     def defer(self, record: Record) -> None:
-        """Keep a record for the next `flush`, with the present time; does not touch the disk."""
+        """Queue a record, with the present time, for `flush`."""
         self.file.defer(self._clock(), _fields(record, self.responsibility))
 
     def flush(self) -> None:
-        """Write what was deferred, or raise RecordError: what is not written stays deferred."""
+        """Write queued records; RecordError leaves them queued."""
         self.file.flush()
 
     def append(self, record: Record) -> None:
-        """Write one record, behind those that were deferred: it is on the disk, or RecordError, and nothing of it is left."""
+        """Write queued records, then this one, to the disk; RecordError leaves nothing of it."""
         self.file.append(self._clock(), _fields(record, self.responsibility))
 
     def close(self) -> None:
@@ -111,7 +111,7 @@ class ReviewLog:
         self.file.close()
 
     def _end_interrupted(self) -> None:
-        """Record the end of an execution whose executor ended first: a restarted one never goes on with it."""
+        """Record the end of an execution that the executor before left open."""
         last = _execution_without_end(read_lines(self.file.path))
         if last is not None:
             fields = {
@@ -157,7 +157,7 @@ def _responsibility_fields(responsibility: Responsibility | None) -> dict:
 
 
 def _plan_fields(plan: Plan | None) -> dict:
-    """Return what a reader of the record wants to know of the plan; nothing when it was unknown."""
+    """Return the plan's fields of a record; {} for an unknown plan."""
     if plan is None:
         return {}
     clearance = plan.report.clearance

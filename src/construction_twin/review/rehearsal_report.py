@@ -1,4 +1,4 @@
-"""What a rehearsal has found: one record for message, file, screen and terminal; and what it has against an approval. SI.
+"""The report of a rehearsal, for message, file, screen and terminal, and its objection to an approval. SI.
 
 Fields have the names, and the meaning, that they have in `Rehearsal.msg`. Joints in the order of the trajectory's `joint_names`.
 """
@@ -26,7 +26,7 @@ STATES = (PASSED, FAILED, BROKEN)
 
 @dataclass(frozen=True)
 class AxisLoad:
-    """What a plan asks of one axis."""
+    """A plan's load on one axis."""
 
     joint: str
     peak: float
@@ -44,7 +44,7 @@ class AxisLoad:
 
 @dataclass(frozen=True)
 class RehearsedContact:
-    """Two bodies that touched although the plan has no contact of them."""
+    """A contact of two bodies that the plan excludes."""
 
     first: str
     second: str
@@ -56,7 +56,7 @@ class RehearsedContact:
 
 @dataclass(frozen=True)
 class LooseObject:
-    """What became of an object that can be moved: one that the plan lets go of, or one that stands around."""
+    """The motion of a loose object: one released by the plan, or one that stands around."""
 
     name: str
     released: _OrNan
@@ -68,7 +68,7 @@ class LooseObject:
 
 @dataclass(frozen=True)
 class PayloadLoad:
-    """What the flange carries, beside what the arm is rated for. Each number is the largest of the plan's loads."""
+    """The flange's load beside the arm's rating. Each number is the largest of the plan's loads."""
 
     mass: float = 0.0
     estimated: bool = False
@@ -83,7 +83,7 @@ class PayloadLoad:
 
 @dataclass(frozen=True)
 class GripLoad:
-    """What the tool's cups had to hold at the worst moment, beside what they can."""
+    """The largest load of the tool's cups, beside their capacity."""
 
     name: str = ""
     cups: int = 0
@@ -93,7 +93,7 @@ class GripLoad:
 
 @dataclass(frozen=True)
 class Braking:
-    """How far the arm goes on when it has to stop at the worst moment of the plan: at its largest kinetic energy."""
+    """A stop at the worst moment of the plan: at its largest kinetic energy."""
 
     time: float = 0.0
     seconds: float = 0.0
@@ -135,14 +135,14 @@ class RehearsalReport:
 
 
 def is_whole(report: RehearsalReport) -> bool:
-    """Return whether a report that came from elsewhere is what its hash says."""
+    """Return whether a received report matches its hash."""
     if report.state not in STATES or (report.state == PASSED and report.reasons):
         return False
     return with_hash(report, report.took).hash == report.hash
 
 
 def has_finite_numbers(report: RehearsalReport) -> bool:
-    """Return whether no number of a rehearsal that has ended is nan or infinite; `released` is nan of what was never held."""
+    """Return whether all numbers of a report but `released` are finite."""
     return all(map(math.isfinite, _numbers(report)))
 
 
@@ -178,25 +178,25 @@ class RehearsalCheck:
         self._reports: dict[str, RehearsalReport] = {}
 
     def on_report(self, report: RehearsalReport) -> None:
-        """Take a result; of one plan the newest counts."""
+        """Store a result, the newest of each plan."""
         self._reports.pop(report.plan_id, None)
         self._reports[report.plan_id] = report
         while len(self._reports) > _KEPT:
             del self._reports[next(iter(self._reports))]
 
     def report_of(self, plan: Plan) -> RehearsalReport | None:
-        """Return the result that is of exactly this plan, in the scene that it begins in, with the tool; None: there is none."""
+        """Return the result for exactly this plan, its first scene and the tool; None: there is none."""
         report = self._reports.get(plan.id)
         if report is None or (report.plan_hash, report.scene, report.tool) != (plan.hash, plan.scene, self._tool):
             return None
         return report
 
     def awaits(self, plan: Plan) -> bool:
-        """Return whether a result must come before a plan can be approved."""
+        """Return whether a required result is missing."""
         return self.required and self.report_of(plan) is None
 
     def obstacle(self, plan: Plan) -> str:
-        """Return why a plan must not be approved, as one sentence; empty: nothing is against it."""
+        """Return the rehearsal's objection to an approval as one sentence; empty for none."""
         if not self.required:
             return ""
         report = self.report_of(plan)
@@ -213,7 +213,7 @@ class RehearsalCheck:
         )
 
     def rehearsed(self, plan: Plan, overridden: bool) -> Rehearsed | None:
-        """Return what the record of a verdict on a plan says of its rehearsal; None: there was none, and none was required."""
+        """Return the rehearsal for the record of a verdict; None: neither made nor required."""
         report = self.report_of(plan)
         if report is not None:
             return Rehearsed(report.state, report.hash, report.engine, overridden)

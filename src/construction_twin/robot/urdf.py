@@ -107,7 +107,7 @@ def _packages_by_rospack() -> Iterator[None]:
 
 
 def _refusal(path: str, error: xacro.XacroException) -> ConfigurationError:
-    """Return what to say about a file that does not expand."""
+    """Return the error of a file that does not expand."""
     cause: BaseException | None = error
     while isinstance(cause, xacro.XacroException):
         cause = cause.exc

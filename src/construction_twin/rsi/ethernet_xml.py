@@ -174,7 +174,7 @@ def _check_switched(layout: RsiLayout, where: str) -> None:
 
 
 def tool_channels(layout: RsiLayout) -> tuple[str, ...]:
-    """Return the TAGs of a tool that an Ethernet XML declares; none: a context without hands."""
+    """Return the TAGs of a tool in an Ethernet XML; none: a context without a tool."""
     sent = *(f"{OUT}.{name}" for name in layout.outputs), *(f"{IN}.{name}" for name in layout.inputs)
     return (*(f"{SET}.{name}" for name in layout.switched), *sent)
 
@@ -230,7 +230,7 @@ def _elements(root: ElementTree.Element, direction: str, where: str) -> dict[str
 
 
 def _type_of(tag: str) -> str:
-    """Return the TYPE of what gateway and controller read of each other: another, or another's INDX, moves another axis."""
+    """Return the required TYPE of a TAG that gateway and controller read; "" for any."""
     if tag == "DEF_Delay":
         return "LONG"
     if tag == STOP or is_set_channel(tag):

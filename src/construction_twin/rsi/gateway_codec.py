@@ -44,7 +44,7 @@ RELEARN_AFTER = 250
 
 
 def split_values(data: bytes) -> tuple[list[bytes], list[bytes], bytes]:
-    """Return what is the same in telegrams of one shape, and what is not: the values of attributes, and IPOC."""
+    """Split a telegram into its constant texts, the values of attributes, and IPOC."""
     parts = data.split(b'"')
     head, _, rest = parts[-1].partition(b"<IPOC>")
     ipoc, _, tail = rest.partition(b"</IPOC>")
@@ -112,7 +112,7 @@ class RobotDecoder:
             self._places = None
 
     def _of_shape(self, data: bytes) -> Telegram | None:
-        """Read a telegram of the same shape as the last one; None when it does not, or when it is to be refused."""
+        """Read a telegram of the known shape without XML; None: another shape, or an invalid one."""
         texts, values, ipoc = split_values(data)
         if texts != self._shape or not _is_plain(b"".join(values)) or len(data) > MAX_TELEGRAM or not is_count(ipoc):
             return None

@@ -210,7 +210,7 @@ def layout_of(path_or_text: str) -> RsiLayout:
 
 
 def reader(setup: Setup[RsiLayout]) -> Reader:
-    """Return what reads the telegrams of one configuration."""
+    """Return the reader of one configuration's telegrams."""
     channels, tool = status_channels(setup.layout.send), setup.tool
     return Reader(
         RobotDecoder(setup.axes, setup.units).parse,
@@ -220,12 +220,12 @@ def reader(setup: Setup[RsiLayout]) -> Reader:
 
 
 def encoder(setup: Setup[RsiLayout]) -> SensorEncoder:
-    """Return what writes the replies of one configuration."""
+    """Return the encoder of one configuration's replies."""
     return SensorEncoder.of(setup.layout, setup.axes, setup.units)
 
 
 def last_resort(setup: Setup[RsiLayout]) -> LastResort:
-    """Return what answers RSI after the gateway has failed."""
+    """Return RSI's view for the last resort."""
     if not setup.layout.answered:
         return LastResort(setup.limits, None, setup.cycle)
     copied = encoder(setup)

@@ -34,7 +34,7 @@ def names_of(element: str, send: Iterable[str]) -> tuple[str, ...]:
 
 
 class ToolReader:
-    """Reads outputs and inputs of a tool from telegrams that were read as ones before, in the order of their names."""
+    """Reads a tool's outputs and inputs from checked telegrams, in the order of their names."""
 
     def __init__(self, outputs: Sequence[str], inputs: Sequence[str]):
         self._wanted = [(element, tuple(names)) for element, names in ((OUT, outputs), (IN, inputs)) if names]

@@ -61,7 +61,7 @@ class Move(_Model):
 
 
 class Step(_Model):
-    """One thing that is done.
+    """One step of a scenario.
 
     Attributes:
         when: What it waits for: ``now`` (the step before is done), ``motion`` (the start of the last motion), ``rest`` (the arm
@@ -100,7 +100,7 @@ class StopBound(_Model):
 
 
 class Expectation(_Model):
-    """What must come out; docs/scenarios.md explains every key."""
+    """The expected outcome; docs/scenarios.md explains every key."""
 
     sync: list[Annotated[str, pydantic.Field(pattern=r"^[A-Z_]+\??$")]]
     final: Mapping[Literal["sync", "link", "execution", "outcome"], str]
@@ -130,7 +130,7 @@ class Scenario(_Model):
 
     @property
     def faulted(self) -> frozenset[str]:
-        """Joints that a fault keeps from doing what they are told."""
+        """Joints that a fault keeps off their setpoints."""
         faults = [step.inject for step in self.steps if step.inject]
         return frozenset(fault.joint for fault in faults if fault.fault in ("stall", "slow"))
 

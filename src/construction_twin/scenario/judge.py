@@ -188,7 +188,7 @@ def judge(
 
 
 def _refusal(scenario: Scenario, run: Run) -> list[Check]:
-    """Whether an approval was refused for the reason that was expected."""
+    """Check that an approval was refused for the expected reason."""
     wanted, change = scenario.expect.refused, run.first("refused")
     if wanted is None:
         return []
@@ -197,7 +197,7 @@ def _refusal(scenario: Scenario, run: Run) -> list[Check]:
 
 
 def _begun(scenario: Scenario, run: Run) -> list[Check]:
-    """Whether the controller reported every fault as on: a run that passes without its fault shows nothing."""
+    """Check that the controller reported every fault as on."""
     checks = []
     injected = {step.inject.fault for step in scenario.steps if step.inject and not step.inject.end}
     wanted = {name for name in injected if KINDS[name].lasting}
@@ -212,7 +212,7 @@ def _begun(scenario: Scenario, run: Run) -> list[Check]:
 
 
 def describe(run: Run) -> str:
-    """Return what the system did as one line: the states of the gate, of the executor's plan, and of the link."""
+    """Return a run in one line: the states of the gate, of the executor's plan, and of the link."""
     parts = [" → ".join(run.states("sync")), "plan " + (run.last("outcome") or "not ended")]
     links = run.states("link")
     if len(links) > 1:
@@ -245,7 +245,7 @@ def _fault(scenario: Scenario, run: Run) -> Change | None:
 
 
 def _detection(scenario: Scenario, run: Run, measured: dict) -> list[Check]:
-    """How soon the gate closed: from the fault, and in samples from the first one over the threshold."""
+    """Check how soon the gate closed: from the fault, and in samples from the first one over the threshold."""
     fault = _fault(scenario, run)
     closing = next((c for c in run.closings if fault is not None and c.stamp >= max(fault.stamp, run.start)), None)
     seconds: float | None = None
@@ -316,7 +316,7 @@ def _lag(closing: SyncMoment) -> float:
 
 
 def _growth(run: Run, closing: SyncMoment, crossing: _Crossing, stalled: str) -> Check:
-    """Whether a stalled joint's error grew only while its feedback and the commands that were sent before travelled.
+    """Check that a stalled joint's error grew only while its feedback and earlier commands travelled.
 
     From the command of the last sample within the threshold until the gate closed it grows at most at the joint's speed.
     """
@@ -391,7 +391,7 @@ def _corrections(
 def _arm(
     scenario: Scenario, run: Run, limits: MotionLimits, decimals: int, cycle: float, measured: dict
 ) -> list[Check]:
-    """What the arm did with its sound joints; the cycles of a missed reply, which stops it dead, are only reported."""
+    """Check the motion of the sound joints; cycles of a missed reply, which stops the arm dead, are only reported."""
     names = [name for name in limits.names if name not in scenario.faulted]
     if not names:
         measured |= {"arm_velocity_fraction": None, "arm_acceleration_fraction": None}
@@ -417,7 +417,7 @@ def _arm(
 
 
 def _gateway_stops(scenario: Scenario, run: Run, limits: MotionLimits) -> list[Check]:
-    """No sound joint goes further than the gateway stated when it began to brake."""
+    """Check that no sound joint goes further than the gateway stated when it began to brake."""
     sound = [index for index, name in enumerate(limits.names) if name not in scenario.faulted]
     checks = []
     for stop in run.stops:

@@ -382,7 +382,7 @@ def measured(
 
 
 def configure_distances(data: pinocchio.GeometryData, margins: Sequence[float] = ()) -> None:
-    """Have every answer depend on the pose alone, and no contact missed; set the distance that counts as contact of each pair [m].
+    """Configure Coal: answers by the pose alone, no missed contact, and the distance of a contact for each pair [m].
 
     The warm start of the distance search is switched off, because it makes an answer depend on earlier ones. Contact points are
     asked for, although nobody reads them: without them Coal's GJK calls a few of ten thousand deep contacts of convex bodies free

@@ -1,4 +1,4 @@
-"""A home pose for an arm that nobody has described yet: free of contact, inside the ranges, not singular, in round numbers."""
+"""A home pose for a new arm: free of contact, inside the ranges, not singular, in round numbers."""
 
 from __future__ import annotations
 

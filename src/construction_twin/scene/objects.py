@@ -59,7 +59,7 @@ def relative(a_T_b: Pose, a_T_c: Pose) -> Pose:
 
 
 def names_text(names: Iterable[str]) -> str:
-    """Return names of objects as a person reads them: more than he reads are counted."""
+    """Return names of objects as a text; beyond a few they are counted."""
     known = sorted(names)
     return str(known) if len(known) <= _MOST_NAMES else f"{len(known)} objects"
 

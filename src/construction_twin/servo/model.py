@@ -105,12 +105,12 @@ class ServoState:
         self._joints = [_Joint(servo, model.period, start) for servo, start in zip(model.servos, q)]
 
     def configure(self, model: ServoModel) -> None:
-        """Go on with other servos, which forget the targets before: a change at rest moves nothing."""
+        """Continue with other servos, at rest, without the targets before."""
         for joint, servo in zip(self._joints, model.servos):
             joint.configure(servo, model.period)
 
     def advance(self, target: Sequence[float]) -> tuple[float, ...]:
-        """Take a cycle's target, shape (n,), and return the position at its end, shape (n,) [rad]."""
+        """Advance by one cycle to a target, shape (n,); return the position at its end, shape (n,) [rad]."""
         return tuple([joint.advance(goal) for joint, goal in zip(self._joints, target)])
 
 
@@ -127,7 +127,7 @@ class _Joint:
         self.configure(servo, period)
 
     def configure(self, servo: JointServo, period: float) -> None:
-        """Go on with another servo."""
+        """Continue with another servo."""
         whole, (first_x, first_v), (second_x, second_v) = servo.parts(period)
         self.configured = (
             *first_x,
@@ -142,7 +142,7 @@ class _Joint:
         self._waiting = [self._before] * (whole + 1)
 
     def advance(self, target: float) -> float:
-        """Take a cycle's target, and return the position at its end."""
+        """Advance by one cycle to a target; return the position at its end."""
         axx, axv, avx, avv, bxx, bxv, bvx, bvv, velocity, acceleration, play = self.configured
         step = target - self._before
         reference = target + velocity * step + acceleration * (step - self._before + self._earlier)

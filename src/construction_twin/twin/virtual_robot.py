@@ -40,13 +40,13 @@ class GazeboTwin:
         return f"Gazebo is {waiting * CYCLE_NS // 1_000_000} ms behind what is commanded" if waiting > _LATE else ""
 
     def restart(self) -> None:
-        """Keep all: the plugin puts the arm where the first command is that is away from the one before."""
+        """Leave all as it is: the plugin places the arm at the next stream's first command."""
 
     def cycle(self, commanded: tuple[float, ...]) -> None:
         """See `TwinBackend`."""
 
     def on_published(self, stamp: int) -> None:
-        """Remember a command that was published, by its stamp."""
+        """Store the stamp of a published command."""
         self._open.append(stamp)
 
     def on_simulated_pose(self, stamp: int) -> bool:
@@ -59,7 +59,7 @@ class GazeboTwin:
 
 
 class TwinBackend(Protocol):
-    """An arm that is told where to be, once per cycle of 4 ms.
+    """The source of the twin's pose, called once per cycle of 4 ms.
 
     Attributes:
         effort: Length n. What the axes give [N m], [N]; empty: unknown.
@@ -82,7 +82,7 @@ class TwinBackend(Protocol):
 
 
 class KinematicBackend:
-    """An arm without mass: it is where it was told to be."""
+    """An arm without mass, at its commanded pose."""
 
     effort: tuple[float, ...] = ()
     contacts: tuple[tuple[str, str], ...] = ()
@@ -140,7 +140,7 @@ SILENCE = NANOSECONDS // 4
 
 
 class VirtualRobot:
-    """A robot that is where it was told to be.
+    """A robot at its commanded pose.
 
     Args:
         home: Shape (n,). Pose to start at [rad], [m]; None waits for `assume_pose`: a twin of a physical arm makes no pose up.
@@ -189,7 +189,7 @@ class VirtualRobot:
         return True
 
     def begin_stream(self) -> None:
-        """Take the next command as a first one, whatever its stamp: it must be at the present pose."""
+        """Accept the next command as a stream's first one, whatever its stamp, at the present pose."""
         self.stamp, self._executing = 0, False
 
     def execute(self, stamp: int, q: tuple[float, ...]) -> bool:
@@ -212,7 +212,7 @@ class TwinClock:
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything; the clock may be another."""
+        """Reset: the clock may be another."""
         self._published = 0
         self._last_command: int | None = None
 
@@ -223,7 +223,7 @@ class TwinClock:
         return now - self._last_command >= SILENCE and stamp < last - ANOTHER_CLOCK
 
     def on_command(self, stamp: int, now: int) -> bool:
-        """Take a command that was executed, by stamp and reception [ns]; return whether to publish its pose with its stamp."""
+        """Store stamp and reception of an executed command [ns]; return whether to publish its pose with its stamp."""
         self._last_command = now
         return self._is_newer(stamp)
 

@@ -1,4 +1,4 @@
-"""What a reviewer sees of a plan: a ghost that plays it, and what a work plan does to the objects. Pure; rad, m, s."""
+"""A reviewer's preview of a plan: a ghost that plays it, and a work plan's changes of the objects. Pure; rad, m, s."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Preview:
             self.plan, self._run = plan, None
 
     def on_verdict(self, plan_id: str, approved: bool) -> None:
-        """Take a verdict: an approved plan stays drawn until its execution ends, a rejected one disappears."""
+        """Handle a verdict: an approved plan stays drawn until its execution ends, a rejected one disappears."""
         if not approved:
             self.on_ending(plan_id)
             return
@@ -70,13 +70,13 @@ class Preview:
             self._run = None
 
     def on_ending(self, plan_id: str) -> None:
-        """Take the end of a plan: it is no longer shown."""
+        """Remove a plan whose execution has ended."""
         self._over.add(plan_id)
         if self.plan is not None and self.plan.id == plan_id:
             self.plan = self._run = None
 
     def on_twin(self, q: tuple[float, ...]) -> None:
-        """Take the twin's pose [rad]."""
+        """Store the twin's pose [rad]."""
         self._twin = q
 
     def play(self, speed: float, loop: bool, now: float) -> str:

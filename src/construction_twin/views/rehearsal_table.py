@@ -1,4 +1,4 @@
-"""What a rehearsal has found, for the terminal: a table of the axes, and a line for everything else that is known."""
+"""The report of a rehearsal for the terminal: a table of the axes, and a line for everything else that is known."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ESTIMATE = "~"
 
 
 def worst_axis(report: RehearsalReport) -> AxisLoad | None:
-    """Return the axis that uses the largest fraction of what its drive gives; None: nobody says what any of them gives."""
+    """Return the axis that uses the largest fraction of what its drive gives; None: unknown of all."""
     known = [axis for axis in report.axes if axis.limit]
     return max(known, key=lambda axis: axis.usage, default=None)
 

@@ -50,7 +50,7 @@ class ReportedState:
 
 @dataclass(frozen=True)
 class StartupInputs:
-    """What was received so far."""
+    """The inputs received so far."""
 
     link: ReportedState | None = None
     sync: ReportedState | None = None
@@ -182,7 +182,7 @@ class Missing:
 
     @property
     def news(self) -> tuple[str, str]:
-        """What would be worth another line when it changes."""
+        """The key whose change is worth another line."""
         return self.kind, without_counts(self.reason)
 
     def __str__(self) -> str:
@@ -194,7 +194,7 @@ class Missing:
 
 
 class StartUp:
-    """Turns what is seen into lines for the operator, each once."""
+    """Turns inputs into lines for the operator, each once."""
 
     def __init__(self, deployment: Deployment):
         self._deployment = deployment
@@ -205,7 +205,7 @@ class StartUp:
         self._ready = False
 
     def update(self, inputs: StartupInputs, now: float) -> list[str]:
-        """Take what is seen at a time that never runs back [s]; return the lines that are news."""
+        """Store the inputs at a monotonic time [s]; return new lines."""
         missing, before = first_missing(inputs, self._deployment), self.missing
         if missing is None or before is None or missing.kind != before.kind or not self._since:
             self._since = self._reason_since = now

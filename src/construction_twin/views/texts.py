@@ -104,7 +104,7 @@ def _closest(plan: Plan) -> str:
 
 
 def caller_line(client: str, connected: bool | None) -> str:
-    """Return the line about the program that sent the goal of a plan under review; None: nobody says whether it is connected."""
+    """Return the line about the program that sent the goal of a plan under review; None: unknown whether it is connected."""
     if connected is None:
         return f"caller     {client}: the node follow_joint_trajectory does not say whether it is still connected"
     if connected:
@@ -288,7 +288,7 @@ def change_words(change: SceneChange) -> str:
 
 
 def cut(name: str) -> str:
-    """Return a name as long as a picture can show it."""
+    """Cut a name to the length that a picture can show."""
     return name if len(name) <= LONGEST_WORD else name[: LONGEST_WORD - 3] + "..."
 
 

@@ -1,4 +1,4 @@
-"""What the experiment and a scenario do alike at a running cell: wait, record, have a motion planned, see the arm come to rest."""
+"""Steps that experiment and scenario share at a running cell: wait, record, plan, detect rest."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _POLL = 0.005
 
 
 class RestDetector:
-    """Tells whether a pose stayed for `rest_time` [s] within `tolerance` [rad], [m] of where it began."""
+    """Detects a pose that stayed for `rest_time` [s] within `tolerance` [rad], [m] of where it began."""
 
     def __init__(self, tolerance: float, rest_time: float):
         self._tolerance = tolerance
@@ -39,7 +39,7 @@ class RestDetector:
         self.at_rest = False
 
     def update(self, stamp: float, position) -> None:
-        """Take one pose, shape (n,) [rad], measured at `stamp` [s]."""
+        """Add one pose, shape (n,) [rad], measured at `stamp` [s]."""
         position = np.asarray(position, dtype=float)
         if self._pose is None or np.abs(position - self._pose).max() > self._tolerance:
             self._pose, self._since = position, stamp
@@ -47,7 +47,7 @@ class RestDetector:
 
 
 class CellDriver:
-    """A person's part at a running cell.
+    """Operates a running cell as a person would.
 
     Args:
         name: Who asks for plans.
@@ -93,7 +93,7 @@ class CellDriver:
         return silent + self.listener.snapshot().not_ready()
 
     def plan(self, goal_deg: Sequence[float], duration: float, waypoints: int = 0) -> PlanToJointsResponse:
-        """Have a motion [deg], [mm] planned from the twin's present pose."""
+        """Request a plan of a motion [deg], [mm] from the twin's present pose."""
         answer = rospy.ServiceProxy("plan_to_joints", PlanToJoints)(
             goal=from_wire(goal_deg, self._robot.linear), duration=duration, waypoints=waypoints, source=self._name
         )

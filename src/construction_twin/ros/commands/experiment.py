@@ -1,4 +1,4 @@
-"""The experiment: waits for a ready system, records, has the task planned and played, evaluates the recording."""
+"""The experiment: waits for a ready system, records, plans and plays the task, evaluates the recording."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Experiment(CellDriver):
         return Report(report.summary, (bag, *report.files))
 
     def _plan(self, goal_deg: list[float]) -> str:
-        """Have one reach planned; return the plan's id."""
+        """Request the plan of one reach; return its id."""
         fraction = len(self._settings.goals_deg)
         answer = self.plan(goal_deg, self._settings.duration / fraction, max(2, self._settings.waypoints // fraction))
         self.print_line(answer.message)
@@ -122,7 +122,7 @@ def point_latest(results: Path, directory: Path) -> None:
 
 
 def checked_parameters(parameters: Parameters = rospy) -> tuple[ExperimentSettings, RobotModel]:
-    """Return what the node starts with; raise the ConstructionTwinError that it is refused for."""
+    """Return the node's parameters; ConstructionTwinError refuses its start."""
     settings, robot = read_parameters(ExperimentSettings, parameters), robot_from_parameters(parameters=parameters)
     joints = len(robot.joint_names)
     for goal in settings.goals_deg:

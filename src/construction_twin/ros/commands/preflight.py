@@ -79,7 +79,7 @@ _UNCHECKED = ("view", "plc")
 
 
 def check_node(node: Node, values: Mapping[str, Any]) -> None:
-    """Raise the ConstructionTwinError that a node of this package would be refused for with a launch's parameters."""
+    """Check a launch's parameters for a node of this package; ConstructionTwinError: it would refuse to start."""
     parameters = LaunchParameters(values, f"{node.namespace}{node.name}")
     if node.type in PROGRAMS:
         PROGRAMS[node.type](shlex.split(node.args), parameters)
@@ -115,7 +115,7 @@ def read_launch(file: str, words: list[str]) -> ROSLaunchConfig:
 
 
 def main() -> int:
-    """Print what stands against the start of a launch file, bringup.launch by default, with arguments; return the exit code."""
+    """Print the obstacles to a launch file's start, bringup.launch by default, with arguments; return the exit code."""
     words = [word for word in sys.argv[1:] if ":=" in word]
     file = next((word for word in sys.argv[1:] if ":=" not in word), "bringup.launch")
     file = file if "/" in file else str(share_folder() / "launch" / file)

@@ -1,4 +1,4 @@
-"""What failed last in a running system, as a file for `construction_twin.replay`."""
+"""The last failure of a running system, as a file for `construction_twin.replay`."""
 
 from __future__ import annotations
 

@@ -122,7 +122,7 @@ class ScenarioDriver(CellDriver):
         self._stop = PersistentService("stop", Trigger)
 
     def run(self) -> str:
-        """Carry out every step and wait for the end; return why not, empty when all went as written."""
+        """Carry out every step and wait for the end; return why it was cut short, empty when it was not."""
         self._deadline = time.monotonic() + self._scenario.limit
         arm = rospy.Subscriber("mock_rsi/joint_states", JointState, self._on_arm, queue_size=10)
         self._since = rospy.Time.now().to_nsec()
@@ -368,7 +368,7 @@ def _closings(transitions: list, syncs: list) -> Iterator[SyncMoment]:
 
 
 def checked_parameters(parameters: Parameters = rospy) -> tuple[ScenarioSettings, dict]:
-    """Return the node's settings and its scenario; raise the ConstructionTwinError that it is refused for."""
+    """Return the node's settings and its scenario; ConstructionTwinError refuses its start."""
     content = parameters.get_param("~", {})
     given = {name: content.pop(name) for name in ScenarioSettings.model_fields if name in content}
     settings = settings_of(ScenarioSettings, given, parameters.get_name())

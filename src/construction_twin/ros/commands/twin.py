@@ -51,7 +51,7 @@ class Command:
         self._client = OperatorClient(self._namespace, options.timeout, f"twin ({account_name()})")
 
     def run(self) -> Exit:
-        """Do it; see `OperatorClient` for what is raised."""
+        """Carry out the command; errors are those of `OperatorClient`."""
         name = self._options.command
         if name in TRIGGERS:
             return _print_outcome(self._client.trigger(name))
@@ -179,7 +179,7 @@ class Command:
         return Exit.DONE
 
     def _scene(self) -> Exit:
-        """Show the scene that stands now."""
+        """Show the present scene."""
         silent = "the scene node does not publish", "see why it is down"
         print("\n".join(scene_lines(scene_from_msg(self._client.latched("scene", Scene, *silent)))))
         return Exit.DONE
@@ -227,7 +227,7 @@ class Command:
         return plan
 
     def _await_latched(self, listener: RobotListener) -> None:
-        """Wait for what was latched before this process began, where it is published: a connection may take seconds."""
+        """Wait for latched messages of connected publishers: a connection may take seconds."""
         patience = min(LATCHED, self._options.timeout)
         for name in ("link", "plan", "review"):
             if name == "review" and listener.newest("plan") is None:

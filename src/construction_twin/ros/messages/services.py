@@ -1,4 +1,4 @@
-"""What nodes ask of each other by service: the fields of requests, the services that make plans, and what became of a request."""
+"""Services between nodes: fields of requests, the services that make plans, outcomes."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ PLAN_SERVICES: Mapping[str, PlanService] = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a request, by the names of the services' answers."""
+    """The outcome of a request, with the field names of the services' answers."""
 
     success: bool
     message: str
@@ -76,7 +76,7 @@ class Outcome:
 
     @classmethod
     def of(cls, answer: Any) -> Outcome:
-        """Return what became of a request by a service's answer; what it has no field for stays as it is without."""
+        """Return the outcome in a service's answer; what it has no field for keeps its default."""
         known = {name: getattr(answer, name) for name in answer.__slots__ if name != "said"}
         message = sentence_of(answer, known.pop("message"))
         return cls(known.pop("success"), message, known.pop("expired", False), known)

@@ -1,4 +1,4 @@
-"""display: what people look at, and poses at a low rate for those who need no 250 Hz. Nothing waits for it.
+"""display: markers, frames and poses at a low rate, for people. Nothing waits for it.
 
 Of a twin with mass `velocities/joint_states`, and so `joint_states` and tf, have the commanded pose: goals are looked up there. The
 trees of tf of arm, ghost, simulated and expected arm are made here.
@@ -143,7 +143,7 @@ class RobotFrames:
             frames.append((joint.parent, joint.child, segment.pose(positions.get(joint.name, 0.0))))
 
     def of_the_twin(self, prefix: str, stamp: genpy.Time) -> list[TransformStamped]:
-        """Return what the stock nodes leave out of the twin: where it stands, and floating joints, which no joint state holds."""
+        """Return the twin's frames that the stock nodes leave out: its place, and floating joints."""
         root = _transform("world", tf_frame(prefix, self._root), self._place, stamp)
         return [root, *(_below(prefix, *frame, stamp) for frame in self._floating)]
 
@@ -214,7 +214,7 @@ class DisplayNode:
     # -- poses
 
     def on_twin(self, stamp: int, q: tuple[float, ...]) -> None:
-        """Publish a pose of the twin with velocities and its own stamp, and take the next one when it is its turn."""
+        """Publish a pose of the twin with velocities and its own stamp, and read the next one when it is due."""
         now = time.monotonic()
         with self._lock:
             self._twin, self._received_at, self._silent = (stamp, q), now, False
@@ -225,7 +225,7 @@ class DisplayNode:
         time.sleep(max(0.0, self._next - time.monotonic()))
 
     def on_joints(self, message: JointState) -> None:
-        """Pass on what tf is made of, of the twin."""
+        """Forward the twin's joint states to its tree of tf."""
         with self._lock:  # anybody may publish these
             shown = self._twin_shown.next_shown(time.monotonic(), message.name, message.position, message)
         if shown is not None:
@@ -233,7 +233,7 @@ class DisplayNode:
         time.sleep(FRAME_PERIOD)
 
     def move_ghost(self) -> None:
-        """Show where the ghost is, and once that a silent twin rests: joint_state_publisher would repeat its last velocity."""
+        """Publish the ghost's pose, and once the rest of a silent twin, against joint_state_publisher's last velocity."""
         now = time.monotonic()
         with self._lock:
             twin = self._twin
@@ -251,7 +251,7 @@ class DisplayNode:
         self._publishers["velocities/joint_states"].publish(message)
 
     def show(self, tree: str, stamp: int, q: tuple[float, ...]) -> tuple[int, tuple[float, ...]] | None:
-        """Publish a pose [rad] in a tree of tf and return it, if it is its turn."""
+        """Publish a pose [rad] in a tree of tf and return it, if it is due."""
         shown = self._poses_shown[tree].next_shown(time.monotonic(), (), q, (stamp, q))
         if shown is not None:
             self._publish_frames(tree, *shown)
@@ -274,7 +274,7 @@ class DisplayNode:
         self._hold = from_msg(HoldReport, message)
 
     def show_sync(self) -> None:
-        """Make the picture of the state anew, and publish it where it has changed."""
+        """Draw the picture of the state anew, and publish it where it has changed."""
         received_at, last = self._sync or (-math.inf, None)
         if last is None or time.monotonic() - received_at > SYNC_SILENCE:
             shown = SyncState.WAITING, "no report on sync: is pca_monitor running?", ""

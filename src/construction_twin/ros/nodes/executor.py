@@ -1,4 +1,4 @@
-"""executor: plays the approved plan as `next/joint_states` at 250 Hz. What decides is in `execution`."""
+"""executor: plays the approved plan as `next/joint_states` at 250 Hz. The decisions are in `execution`."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ class ExecutorNode:
             self.executor.on_scene(message.hash)
 
     def on_conflict(self, message: msg.Conflict) -> None:
-        """Store a verdict on the other arm."""
+        """Store the verdict of the other arm's watch."""
         problem = sentence_of(message, message.reason) if message.conflict else ""
         with self._lock:
             self._approval.neighbour.on_verdict(message.plan_id, problem, time.monotonic_ns())
@@ -187,7 +187,7 @@ class ExecutorNode:
         self._log.on_responsible(Responsibility(who, message.session, unchecked) if who else None)
 
     def record(self, request: SessionRequest | SpeedChange) -> None:
-        """Record who has lifted a stop or fault, or armed; or has set the speed limit of people."""
+        """Record a reset, an arming, or a change of people's speed limit, with the person."""
         self._log.defer(request)
 
     # -- services
@@ -195,7 +195,7 @@ class ExecutorNode:
     # A stop, a pause, a rejection: first the act, under the lock; then, beside it, what tells of it (docs/architecture.md).
 
     def on_review(self, request: srv.ReviewPlanRequest) -> str:
-        """Approve or reject a plan in a person's name; an approval is as old as what its screen had shown, else as the call."""
+        """Approve or reject a plan in a person's name; an approval's age counts from its screen's moment, else from the call."""
         if request.reviewer.strip() in (AUTO_APPROVE, EXECUTOR):
             raise ReviewError(f"{request.reviewer!r} is what the executor calls itself; expected the name of a person")
         verdict = self._approval.review(
@@ -240,7 +240,7 @@ class ExecutorNode:
         return self._log_answer("resume", self._approval.resume())
 
     def on_act_as_seen(self, request: srv.ActAsSeenRequest) -> str:
-        """Stop or pause; or go on, unless what the person's screen had shown is too old, or older than a pause or stop."""
+        """Stop, pause or resume as seen on a screen; a resume expires, or is void after a newer pause or stop."""
         if request.act == "stop":
             return self.on_stop(request)
         if request.act == "pause":
@@ -267,7 +267,7 @@ class ExecutorNode:
     # -- in the background
 
     def do_background_work(self) -> None:
-        """Do what may wait, every `BACKGROUND_PERIOD`; an error of a record is said and tried again."""
+        """Write logs and records every `BACKGROUND_PERIOD`; failures are logged and tried again."""
         self.write_records()
         # where a stop leaves the arm is written down here
         self.side_effects.run("the engagement", self.save_engagement)
@@ -282,14 +282,14 @@ class ExecutorNode:
             self._publish_verdict(verdict)
 
     def write_records(self) -> None:
-        """Write what is kept to log and record; not for the path of the setpoints."""
+        """Flush log and record (background thread only)."""
         # the lines of a stop are among these
         self.side_effects.run("the log", self._log_queue.flush)
         self.side_effects.write(rospy.logerr)
         self.side_effects.run("the record", self._disk.write, "the record", self._log.flush)
 
     def save_engagement(self) -> None:
-        """Save where the arm is about to be, or was left, and publish it; not for the path of the setpoints."""
+        """Save the engagement, and publish it (background thread only)."""
         if (engagement := self._disk.save_engagement()) is not None:
             self._publish("engagement", engagement_to_msg(*engagement))
 
@@ -310,7 +310,7 @@ class ExecutorNode:
         self._publish("review", message)
 
     def _publish_changes(self) -> None:
-        """Publish and log what has changed, on the cycle's thread: nothing here waits for a disk or a terminal.
+        """Publish and log changes on the cycle's thread, without waiting for a disk or a terminal.
 
         From a safety act until it is published, and the arm rests, no part of this can end the node.
         """

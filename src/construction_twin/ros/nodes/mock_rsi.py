@@ -146,7 +146,7 @@ class MockRsiNode:
         return Outcome(True, self._ask(inject), fields=self.active_faults(request))
 
     def active_faults(self, _request: InjectFaultRequest) -> dict[str, object]:
-        """Return what every answer about faults tells: which are on now."""
+        """Return the field of every answer about faults: the active ones."""
         return {"active": self._mock.faults.active}
 
     def _fault(self, request: InjectFaultRequest) -> Fault:
@@ -162,7 +162,7 @@ class MockRsiNode:
         return Fault(request.fault, axis.name if axis else "", values, request.direction, request.duration)
 
     def _ask(self, action: Callable[[], str]) -> str:
-        """Have the loop do something that says what it did; RequestRefused when it does not get to it."""
+        """Run an act in the loop and return its sentence; RequestRefused after a time-out."""
         try:
             done = self._mock.request(action)
         except TimeoutError as error:

@@ -1,4 +1,4 @@
-"""mqtt_bridge: ROS <-> MQTT in the paper's joint string, and the person's `reset`. What it decides: `link/bridge.py`."""
+"""mqtt_bridge: ROS <-> MQTT in the paper's joint string, and the person's `reset`. The decisions are in `link/bridge.py`."""
 
 from __future__ import annotations
 

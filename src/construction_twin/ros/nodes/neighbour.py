@@ -1,4 +1,4 @@
-"""neighbour: says on `conflict` whether the plan that our arm plays, else its newest, meets the other arm; where that one is."""
+"""neighbour: publishes on `conflict` whether our arm's plan, else its newest one, meets the other arm; obstacles of that arm."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from construction_twin.scene.self_collision import SelfCollision
 
 
 class NeighbourUnknownError(PlanningError):
-    """Where the other arm is, or goes, is not published; it is never taken to be absent."""
+    """The pose or plan of the other arm is unknown; it is never taken to be absent."""
 
     def __init__(self, neighbour: str, problem: str):
         super().__init__(
@@ -68,7 +68,7 @@ class NeighbourSettings(NodeSettings):
 
 
 class Claim(NamedTuple):
-    """What an arm has from a plan's approval to its end, since its first setpoint [ns] (inf before); the smaller one goes first."""
+    """An arm's claim from a plan's approval to its end, by its first setpoint [ns] (inf before); the smaller one goes first."""
 
     since: float
     robot: str
@@ -106,7 +106,7 @@ class ArmListener:
             Subscriber(f"{self._space}/{topic}", kind, callback, refused, queue_size=10)
 
     def claim(self) -> Claim | None:
-        """Return what tells of the plan that it follows; None: it follows none. NeighbourUnknownError if that is not known."""
+        """Return the claim of the plan under way; None: no plan. NeighbourUnknownError if that is not known."""
         last = self._execution
         if last is None:
             raise NeighbourUnknownError(self.robot.name, Sentence("its executor has said nothing yet"))
@@ -268,7 +268,7 @@ def first_meeting(
 
 
 class NeighbourNode:
-    """Two arms' topics in, verdicts on a plan of ours out."""
+    """ROS around `first_meeting`: two arms' topics in, verdicts on a plan of ours out."""
 
     def __init__(
         self, own: ArmListener, other: OtherArm, world: CollisionWorld, padding: float, conflict: AnyPublisher

@@ -140,7 +140,7 @@ class SpeedLimitService:
         return Outcome(True, sentence, fields={"limit": limits.people.limit})
 
     def write(self) -> None:
-        """Write what people have set, where the file does not hold it; for a thread that may wait for a disk."""
+        """Save people's limit where the file differs (background thread only)."""
         with self._file_lock:
             # an unreadable file stays as it is until a person has set a limit
             if self._limits.people != self._saved_people:
@@ -151,7 +151,7 @@ class SpeedLimitService:
         self._saved_people = UNKNOWN if self._file_problem else people
 
     def repeat(self) -> None:
-        """Publish what is in force again, and notice a program's silence; to be called every `LIMIT_PERIOD`."""
+        """Publish the limit in force again, and check the program for silence; to be called every `LIMIT_PERIOD`."""
         program = self._limits.program
         with self._lock:
             self._publish()
@@ -177,7 +177,7 @@ class SpeedLimitService:
 
 
 class PcaMonitorNode:
-    """ROS around a Monitor, and beside it the speed limit, which the gate knows nothing of."""
+    """ROS around a Monitor, and the speed limit beside it."""
 
     def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
         # without an arm there is no broker by which it could be raised again
@@ -218,7 +218,7 @@ class PcaMonitorNode:
         self._publish(now)
 
     def watch(self) -> None:
-        """Notice what did not come, and do what may wait; to be called at `SYNC_RATE`."""
+        """Check for silence, and publish what is due; to be called at `SYNC_RATE`."""
         now = time.monotonic_ns()
         with self._lock:
             self._gate.watch(now)
@@ -228,7 +228,7 @@ class PcaMonitorNode:
         self._saved_stop.save(stopped_in, now)
 
     def write_transitions(self) -> None:
-        """Write the transitions to their logs, in a thread of its own: a disk that hangs must not silence `sync`."""
+        """Write the transitions to their logs, in a background thread: `sync` waits for no disk."""
         self._log_queue.flush()
         self._transitions.flush()
         if self._transitions.fault:
@@ -386,7 +386,7 @@ def make_gate(settings: Settings, robot: RobotModel, now: int) -> Gate:
 
 
 def check(settings: Settings, robot: RobotModel, shared: shell.Shared) -> None:
-    """Check what fits the model and yet cannot work; see `NodeShell`."""
+    """Check the parameters against each other; see `NodeShell`."""
     make_gate(settings, robot, 0)
     if shell.knows_servos(settings):
         # servos of another cycle: the arm would never be judged

@@ -69,7 +69,7 @@ class EngagedError(PlanningError):
 
 
 def plan_request(request, source: str = "request") -> PlanRequest:
-    """Return the request behind any of the services'; PlanningError where it was asked for after it came, or on another clock."""
+    """Return the `PlanRequest` of any service's request; PlanningError for a moment to come, or of another clock."""
     arrived = present_moment()
     asked = parse_moment(request.asked) if getattr(request, "asked", "") else arrived
     if asked.origin != arrived.origin or asked.at > arrived.at:
@@ -208,7 +208,7 @@ class PlannerNode:
         return self._through(asked, read, request.retime)
 
     def on_trajectory(self, message: JointTrajectory) -> None:
-        """Plan a motion from elsewhere; what becomes of it stands in `plan_outcome`."""
+        """Plan a motion from elsewhere; `plan_outcome` has the result."""
         asked = PlanRequest(asked=present_moment(), source=f"joint_trajectory from {caller_of(message)}")
         self._through(asked, lambda: trajectory_waypoints(message, self._robot))
 

@@ -114,7 +114,7 @@ def stop_file(arm: str, config: Path, robot: str) -> Path:
 
 
 def checked_config(words: list[str], parameters: Parameters = rospy) -> GatewayConfig:
-    """Return the configuration of a gateway with these options; raise the ConstructionTwinError that it is refused for."""
+    """Return the configuration of a gateway with these options; ConstructionTwinError refuses its start."""
     config = config_from_parameters(parameters=parameters)
     options = read_arguments([*words, "--config", ""])
     check(options, config)

@@ -189,7 +189,7 @@ class Settings(PrivateSettings):
 
 
 class SceneNode:
-    """ROS around a CollisionWorld: what changes the scene, and who hears of it."""
+    """ROS around a CollisionWorld: edits in, the scene and its markers out."""
 
     def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
         self._robot = robot
@@ -224,7 +224,7 @@ class SceneNode:
     # -- edits: each returns the scene as it would be, and what was done
 
     def add(self, request: srv.AddObjectRequest) -> tuple[Scene, str]:
-        """Put an object in."""
+        """Add an object."""
         item = object_from_msg(request.object)
         if item.link:
             raise SceneError(f"object {item.name!r} link", item.link, "an empty one; attach it once it is in the scene")
@@ -262,7 +262,7 @@ class SceneNode:
         return wanted.between(scene, request.before, request.after), str(wanted)
 
     def present_hash(self, _request) -> dict[str, object]:
-        """Return what every answer about the scene tells: which one is the present one."""
+        """Return the field of every answer about the scene: the present one's hash."""
         return {"hash": self._world.scene.hash}
 
     def edit(self, change: Callable[[SceneNode, Any], tuple[Scene, str]], request: Any) -> Outcome:
@@ -284,7 +284,7 @@ class SceneNode:
             return Outcome(True, sentence, fields={"hash": scene.hash})
 
     def _new_lasting_contacts(self) -> list[str]:
-        """Look for contacts that no motion of the arm ends; return what there is to say about those that are new."""
+        """Return sentences on new contacts that no motion of the arm ends."""
         before, self._lasting = self._lasting, [contact.sentence for contact in lasting_contacts(self._world)]
         return [sentence for sentence in self._lasting if sentence not in before]
 

@@ -196,7 +196,7 @@ def expect_known(words: list[str]) -> None:
 
 
 def check(settings: Settings, robot: RobotModel, *_: object) -> None:
-    """Check what is no other node's: addresses, roslaunch's words, and what would start beside something missing."""
+    """Check addresses, roslaunch's arguments, and nodes that would start beside a missing one."""
     expect_reachable(os.environ)
     expect_known(_words_of_parent())
     if settings.gateway_kind == "plc" and settings.arm == "mock" and any(robot.linear):
@@ -213,7 +213,7 @@ def _words_of_parent() -> list[str]:
 
 
 def refused(sentence: str) -> None:
-    """End the launch, with what others say, too."""
+    """End the launch with the sentences of all nodes."""
     refusals = Refusals()
     refusals.add(rospy.get_name(), sentence)
     time.sleep(COLLECT)

@@ -1,4 +1,4 @@
-"""view: becomes rviz where there is a display; elsewhere it says so and ends, and the rest goes on."""
+"""view: becomes rviz; without a display it logs that and ends."""
 
 from __future__ import annotations
 

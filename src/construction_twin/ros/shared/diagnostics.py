@@ -29,18 +29,18 @@ MAX_STRANGERS = 100
 
 
 class DeferredLog:
-    """Keeps lines until a thread that may wait writes them, to disk and terminal."""
+    """Queues log lines for a background thread."""
 
     def __init__(self):
         self._writing = threading.Lock()
         self._lines: deque[tuple[Callable[..., None], tuple]] = deque(maxlen=MAX_LINES)
 
     def add(self, write: Callable[..., None], *words) -> None:
-        """Keep a line; `write` is `rospy.loginfo` or one of its kind, `words` its arguments."""
+        """Queue a line; `write` is `rospy.loginfo` or one of its kind, `words` its arguments."""
         self._lines.append((write, words))
 
     def flush(self) -> None:
-        """Write what was kept, oldest first."""
+        """Write queued lines, oldest first."""
         with self._writing:
             while self._lines:
                 write, words = self._lines.popleft()
@@ -115,7 +115,7 @@ class NodeDiagnostics:
             return Counter(self._refused)
 
     def refuse(self, reason: str, sentence: str) -> None:
-        """Count a rejected input, and have it said in the log (`RefusalLog`) by a thread that may wait."""
+        """Count a rejected input, and queue its line for the log (`RefusalLog`)."""
         self.count(reason, sentence)
         if (more := self._log.admit(reason, sentence)) is not None:
             self._log_queue.add(rospy.logwarn, "%s refused (%s): %s%s", rospy.get_name(), reason, sentence, more)

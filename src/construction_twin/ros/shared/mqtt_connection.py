@@ -1,4 +1,4 @@
-"""What the nodes that speak MQTT have in common: their parameters, the connection, and reports on it."""
+"""MQTT in nodes: parameters, connection, and reports on it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every node does around its own work: start, turn a typed error into one sentence, end.
+"""Start and end of every node, and the sentence of a typed error.
 
 An unexpected exception ends the process, in whatever thread it occurs, and roslaunch starts another one: by
 `threading.excepthook` in threads, timers, MQTT client and `Subscriber`, by `Service` after its answer.

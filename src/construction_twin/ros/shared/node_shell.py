@@ -267,7 +267,7 @@ class NodeShell(Generic[Settings]):
     refused: Callable[[str], object] = refuse
 
     def checked_parameters(self, parameters: Parameters = rospy) -> tuple[Settings, RobotModel]:
-        """Return what the node starts with; raise the ConstructionTwinError that it is refused for."""
+        """Return the node's parameters; ConstructionTwinError refuses its start."""
         settings, robot = read_parameters(self.settings, parameters), robot_from_parameters(parameters=parameters)
         self.check(settings, robot, self.interface.shared(parameters))
         return settings, robot

@@ -196,7 +196,7 @@ class PlanDisplay:
             self._publish()
 
     def _publish(self) -> None:
-        """Publish all that is drawn: who listens later hears the last message only."""
+        """Publish all markers in one message: a late subscriber receives the last one only."""
         gripped = grip_markers(self._gripped, self._tf_prefix)
         gone = Marker(ns="plan", action=Marker.DELETEALL)
         self._markers.publish(MarkerArray(markers=[gone, *self._still, *gripped, *self._rehearsed]))

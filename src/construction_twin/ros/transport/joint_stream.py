@@ -229,13 +229,13 @@ class Cycles:
         return time.monotonic_ns() + self._offset
 
     def reach(self, stamp: int) -> int:
-        """Never lag behind a stamp that another node's grid has reached [ns], on a clock that was set since; return `now`."""
+        """Advance to a stamp that another node's grid has reached [ns]; return `now`."""
         with self._lock:
             self._offset = max(self._offset, stamp - time.monotonic_ns())
             return self.now()
 
     def begin_at(self, stamp: int) -> None:
-        """Go on from a stamp [ns], also an earlier one: another node's grid has begun there, on a clock that was set back."""
+        """Restart at a stamp [ns], also an earlier one, of another node's grid."""
         with self._lock:
             self._stamp, self._offset = stamp // CYCLE_NS * CYCLE_NS, stamp - time.monotonic_ns()
 
