@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import re
 from collections import Counter
 from types import SimpleNamespace
@@ -26,6 +27,7 @@ from construction_twin.srv import (
 from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
 from launch_files import twin_in_tf
 from planning_cell import HOME, LEFT, RIGHT, ROBOT, ROOT, standing
+from scene_samples import box_triangles, write_stl
 from std_srvs.srv import TriggerRequest
 from tf2_msgs.msg import TFMessage
 from unplugged import Subscriber, Unplugged, over_the_wire
@@ -187,6 +189,19 @@ def test_a_motion_comes_as_a_message_or_from_a_file_and_not_from_both(bench, tmp
     assert not answer.success and "line 3: joint_a1 is 9 rad" in answer.message
     request.trajectory = convert.trajectory_to_msg(motion(HOME, RIGHT))
     assert "expected one of them" in bench.services["plan_trajectory"](request).message
+
+
+def test_a_failure_that_cannot_be_kept_is_answered_all_the_same(bench, tmp_path):
+    mesh = tmp_path / "wall.stl"
+    write_stl(mesh, box_triangles((0.2, 0.2, 0.2)))
+    wall = SceneObject("wall", "mesh", position=(4.0, 0.0, 0.5), mesh=str(mesh))
+    for scene, joint, said in ((Scene((wall,)), 0.1, "expected a readable file"), (SCENE, math.nan, "joint_a1 is nan")):
+        bench.show(scene)
+        mesh.unlink(missing_ok=True)
+        answer = bench.services["plan_to_joints"](PlanToJointsRequest(goal=[joint, *LEFT[1:]]))
+        outcome = bench.published["plan_outcome"][-1]
+        assert not answer.success and said in answer.message
+        assert (outcome.message, outcome.request) == (answer.message, "")
 
 
 def test_once_it_is_free_any_motion_is_planned_and_there_is_no_way_back(bench):

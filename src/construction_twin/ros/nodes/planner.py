@@ -298,14 +298,19 @@ class PlannerNode:
     def _publish_outcome(self, asked: PlanRequest, answer: Answer) -> None:
         self._last = answer.message if answer.success else f"no plan: {answer.message}"
         (rospy.loginfo if answer.success else rospy.logwarn)("%s", self._last)
-        failed = self._pipeline.failed
-        computed = not answer.success and failed is not None and failed.sentence == answer.message
+        failed, request = self._pipeline.failed, ""
+        if not answer.success and failed is not None and failed.sentence == answer.message:
+            try:
+                request = json.dumps(request_json(failed), allow_nan=False)
+            except (OSError, ValueError) as error:
+                # a mesh that is gone, a goal that is no number: the answer comes all the same
+                rospy.logwarn("`twin save-failure` will not find this request: %s", error)
         outcome = msg.PlanOutcome(
             success=answer.success,
             source=asked.source,
             message=answer.message,
             plan_id=answer.plan_id,
-            request=json.dumps(request_json(failed)) if computed and failed is not None else "",
+            request=request,
         )
         outcome.header.stamp = rospy.Time.now()
         self._outcome_publisher.publish(outcome)

@@ -21,6 +21,7 @@ from scipy.sparse.csgraph import connected_components
 from construction_twin.extensions.work.building import Body
 from construction_twin.extensions.work.errors import BuildingError
 from construction_twin.extensions.work.ifc.notes import Notes, ReadingEntity, label
+from construction_twin.extensions.work.names import first_few
 from construction_twin.scene.solids import mesh_of, solid, welded
 
 _Entity = ifcopenshell.entity_instance
@@ -130,7 +131,7 @@ def shapes(
         for shape in _kernel_shapes(file, name, left, read_log):
             items = list(_resolved(missing.pop(shape.id)))
             own_openings = [each.id() for each in openings.get(shape.id, ()) if each.id() in cuts]
-            made = _shape(shape, items, own_openings, holes, file.by_id(shape.id).GlobalId, notes)
+            made = _shape(shape, items, own_openings, holes, unit, file.by_id(shape.id).GlobalId, notes)
             yield made
             # what the kernel reports of one it reports of each
             for number in () if shape.reported else copies.get(shape.id, ()):
@@ -138,7 +139,7 @@ def shapes(
                 yield replace(made, id=number, model_T_shape=None)
     for number, representation in missing.items():
         # one of lines alone has nothing to touch
-        if any(each.is_a(kind) for each in file.traverse(representation) for kind in _SURFACES):
+        if any(map(_has_surface, file.traverse(representation))):
             reason = "the geometry kernel cannot make its shape; a box that holds it stands as an obstacle"
             yield Shape(number, (), None).doubted(reason, bounds(representation) * unit)
 
@@ -191,11 +192,17 @@ def _shape(
     items: list[_Entity],
     openings: Sequence[int],
     holes: Mapping[int, _KernelShape],
+    unit: float,
     about: str,
     notes: Notes,
 ) -> Shape:
     bodies = tuple(_bodies(kernel_shape, [] if openings else items, about, notes))
     shape = Shape(kernel_shape.id, bodies, kernel_shape.matrix)
+    made = set(kernel_shape.owners.tolist())
+    # of a full turn about an axis through the profile, or a bar with a sharp bend, the kernel makes nothing, and reports nothing
+    if less := [label(item) for item in items if _has_surface(item) and made.isdisjoint(_numbers(item))]:
+        reason = f"the geometry kernel cannot make a part of its shape ({first_few(less)}); a box that holds it"
+        return shape.doubted(f"{reason} stands as an obstacle", *(bounds(item) * unit for item in items))
     if not openings:
         return shape
     cut = _cut(kernel_shape, bodies, openings, holes)
@@ -222,6 +229,17 @@ def _cut(
                 return []
             left = [one - tool for one in left]
     return [one for one in left if one.volume() > _CRUMB]
+
+
+def _has_surface(item: _Entity) -> bool:
+    return any(map(item.is_a, _SURFACES))
+
+
+def _numbers(item: _Entity) -> set[int]:
+    """Return the numbers by which the kernel may call an item: its own, a CSG solid's tree's, a surface model's shells'."""
+    parts = (getattr(item, name, ()) or () for name in ("TreeRootExpression", "FbsmFaces", "SbsmBoundary"))
+    flat = (each for part in parts for each in (part if isinstance(part, tuple) else (part,)))
+    return {item.id(), *(each.id() for each in flat)}
 
 
 def box(points: np.ndarray) -> Body:
