@@ -39,6 +39,12 @@ def connect(monkeypatch, uri: str) -> None:
     twin_cli.connect(OPTIONS)
 
 
+def test_a_refused_model_that_is_not_there_is_one_sentence(tmp_path, capsys):
+    absent = tmp_path / "absent.ifc"
+    assert twin_cli.run(parser().parse_args(["save-failure", "--model", str(absent), "-"])) == Exit.USAGE
+    assert capsys.readouterr().err.startswith(f"twin: {absent} is not there; ")
+
+
 @pytest.mark.parametrize("uri", ["localhost:11311", "https://localhost:11311", "http://"])
 def test_an_address_that_is_none_is_named(monkeypatch, uri):
     with pytest.raises(ConfigurationError, match="ROS_MASTER_URI"):

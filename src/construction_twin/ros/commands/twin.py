@@ -15,7 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 import rospy
 
-from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, RequestRefused, SilenceError
+from construction_twin.core.errors import (
+    ConfigurationError,
+    ConstructionTwinError,
+    RequestRefused,
+    SilenceError,
+    command_message,
+)
 from construction_twin.core.extensions import import_extension
 from construction_twin.core.files import write_atomically
 from construction_twin.link.requests import GoalRequest, ReviewRequest
@@ -311,7 +317,7 @@ def run(options: argparse.Namespace) -> int:
         return Command(options).run()
     except SilenceError as error:
         return _print_error(error, Exit.SILENT)
-    except ConfigurationError as error:
+    except (ConfigurationError, OSError) as error:
         return _print_error(error, Exit.USAGE)
     except ConstructionTwinError as error:
         return _print_error(error, Exit.REFUSED)
@@ -319,8 +325,8 @@ def run(options: argparse.Namespace) -> int:
         return Exit.INTERRUPTED
 
 
-def _print_error(error: ConstructionTwinError, code: Exit) -> Exit:
-    print(f"twin: {error}", file=sys.stderr)
+def _print_error(error: Exception, code: Exit) -> Exit:
+    print(f"twin: {command_message(error)}", file=sys.stderr)
     return code
 
 
