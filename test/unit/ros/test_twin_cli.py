@@ -41,7 +41,7 @@ def connect(monkeypatch, uri: str) -> None:
 
 def test_a_refused_model_that_is_not_there_is_one_sentence(tmp_path, capsys):
     absent = tmp_path / "absent.ifc"
-    assert twin_cli.run(parser().parse_args(["save-failure", "--model", str(absent), "-"])) == Exit.USAGE
+    assert twin_cli.run(parser("kr120").parse_args(["save-failure", "--model", str(absent), "-"])) == Exit.USAGE
     assert capsys.readouterr().err.startswith(f"twin: {absent} is not there; ")
 
 
