@@ -74,7 +74,7 @@ _CYCLE = NANOSECONDS // 250
 # -- writing
 
 
-def written(kind: str, sentence: str, state: Mapping[str, Any], **more: Any) -> str:
+def failure(kind: str, sentence: str, state: Mapping[str, Any], **more: Any) -> str:
     """Return a failure as JSON; `more`: the keys of its kind."""
     document = {"kind": kind, "sentence": sentence, "versions": versions(), "state": dict(state), **more}
     return json.dumps(document, indent=1, allow_nan=False) + "\n"
@@ -97,7 +97,7 @@ def model_failure(path: Path) -> str:
     sentence = _read_model(path.name, contents)
     if not sentence:
         raise ConfigurationError(str(path), "a model that can be read", "one that is refused")
-    return written("model", sentence, {}, name=path.name, contents=base64.b64encode(zlib.compress(contents)).decode())
+    return failure("model", sentence, {}, name=path.name, contents=base64.b64encode(zlib.compress(contents)).decode())
 
 
 def request_json(failed: FailedRequest) -> dict[str, Any]:
@@ -147,7 +147,7 @@ def _decoded(value: Any, folder: Path) -> Any:
     return kind(**held)
 
 
-def replayed(document: Mapping[str, Any]) -> str:
+def replay(document: Mapping[str, Any]) -> str:
     """Return how a failure ends now, in one sentence; also raises LookupError, TypeError, ValueError for what is no failure."""
     kinds = {"plan": _replayed_plan, "hold": _replayed_hold, "model": _replayed_model}
     if document["kind"] not in kinds:
@@ -224,7 +224,7 @@ def main(arguments: list[str] | None = None) -> int:
     path = parser.parse_args(arguments).file
     try:
         document = json.loads(read_file(path, MOST_BYTES))
-        now = replayed(document)
+        now = replay(document)
         then = document["sentence"]
     except (ConstructionTwinError, OSError, LookupError, TypeError, ValueError, zlib.error) as error:
         shown = command_message(error) if isinstance(error, (ConstructionTwinError, OSError)) else repr(error)

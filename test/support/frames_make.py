@@ -13,7 +13,7 @@ from types import SimpleNamespace
 from typing import ClassVar
 
 from construction_twin.controller.last_resort import BareProtocol, LastResort
-from construction_twin.controller.port import ControllerSide, Make, Reader, Words
+from construction_twin.controller.port import ControllerSide, Make, Reader, Terms
 from construction_twin.controller.telegram import Reply, Telegram
 from construction_twin.core.errors import TelegramError
 from construction_twin.core.limits import distance_off
@@ -30,7 +30,7 @@ class Frames:
 
     make: ClassVar[str] = "frames"
     port: int = 50_000
-    answered: bool = True
+    expects_replies: bool = True
     stop: bool = True
     summary: ClassVar[str] = "binary frames"
     switched: ClassVar[tuple] = ()
@@ -136,7 +136,7 @@ MAKE = Make(
     name=Frames.make,
     absolute=True,
     cycles={CYCLE_MS: "8 ms"},
-    words=Words("frames", "cycle", "read-only", "", "it ends", "it ended", "{}", "8 ms", "its time-out", "the frames"),
+    terms=Terms("frames", "cycle", "read-only", "", "it ends", "it ended", "{}", "8 ms", "its time-out", "the frames"),
     no_status=NOTHING,
     plain=lambda axes: Frames(),
     read_layout=lambda document: Frames(**document),

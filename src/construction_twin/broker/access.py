@@ -81,7 +81,7 @@ class Site:
 
     def people(self) -> tuple[str, ...]:
         """Return the names of the people's accounts."""
-        return merged((), (read_person(words)[0] for words in self.persons))
+        return union((), (read_person(words)[0] for words in self.persons))
 
     def accounts(self) -> list[str]:
         """Return the name of every account."""
@@ -132,6 +132,6 @@ def broker_configuration(site: Site, template: Callable[[str], str]) -> str:
     return Template(template("site.conf")).substitute(folder=site.folder, port=site.port, address=address)
 
 
-def merged(old: Iterable[str], new: Iterable[str]) -> tuple[str, ...]:
+def union(old: Iterable[str], new: Iterable[str]) -> tuple[str, ...]:
     """Return the names of both, each once, in order."""
     return tuple(dict.fromkeys([*old, *new]))

@@ -18,7 +18,7 @@ import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
-from construction_twin.broker.access import RIGHTS, Site, access_rules, broker_configuration, merged, read_person
+from construction_twin.broker.access import RIGHTS, Site, access_rules, broker_configuration, read_person, union
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, command_message
 from construction_twin.core.share import share_file
 
@@ -131,12 +131,12 @@ def make_site(folder: Path, site: Site) -> list[str]:
         folder: Gets `ca/`, `broker/`, `accounts/<name>/`, `site.json`, and `console/` where the site has one.
     """
     rules, configuration = access_rules(site, _template), broker_configuration(site, _template)
-    before, ca, hosts, lines = load_site(folder), folder / "ca/ca", merged(site.hosts, site.consoles), []
+    before, ca, hosts, lines = load_site(folder), folder / "ca/ca", union(site.hosts, site.consoles), []
     if before and not ca.with_suffix(".key").exists():
         raise ConstructionTwinError(f"{ca}.key is missing: put it back, or make the site anew in another folder")
     for each in (folder, folder / "accounts"):
         each.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if hosts != merged(before.get("hosts", ()), before.get("consoles", ())) or not ca.with_suffix(".crt").exists():
+    if hosts != union(before.get("hosts", ()), before.get("consoles", ())) or not ca.with_suffix(".crt").exists():
         sign_authority(ca, hosts)
         lines.append(f"{ca}.crt is new, for {', '.join(hosts)} only: every tablet and every client needs it")
     sign_server("broker", folder / "broker/server", site.hosts, ca)
@@ -220,10 +220,10 @@ def _site(asked: argparse.Namespace, before: dict) -> Site:
     named = {read_person(words)[0] for words in asked.person}
     others = [words for words in before.get("persons", ()) if read_person(words)[0] not in named]
     added = {
-        "hosts": merged(before.get("hosts", ()), asked.host),
-        "robots": merged(before.get("robots", ()), asked.robot),
-        "consoles": merged(before.get("consoles", ()), asked.console),
-        "persons": merged(others, asked.person),
+        "hosts": union(before.get("hosts", ()), asked.host),
+        "robots": union(before.get("robots", ()), asked.robot),
+        "consoles": union(before.get("consoles", ()), asked.console),
+        "persons": union(others, asked.person),
         "folder": asked.broker_folder or before.get("folder") or str(asked.folder.absolute() / "broker"),
     }
     single = ("plc", "port", "listen", "prefix")

@@ -30,7 +30,7 @@ def main(argv: list[str] | None = None) -> None:
     arguments = read_arguments(argv)
     program, text = check(arguments.config, arguments.port, arguments.accounts)
     print(f"broker: {request_realtime(arguments.realtime)}", flush=True)
-    os.execv(program, [program, "-c", f"/dev/fd/{_in_memory(_complete(text, arguments.port))}"])
+    os.execv(program, [program, "-c", f"/dev/fd/{_memory_file(_complete(text, arguments.port))}"])
 
 
 def read_arguments(argv: list[str] | None) -> argparse.Namespace:
@@ -91,7 +91,7 @@ def listener_ports(text: str) -> list[int]:
     return list(map(int, _LISTENER.findall(text)))
 
 
-def _in_memory(text: str) -> int:
+def _memory_file(text: str) -> int:
     """Return a memory file for mosquitto to inherit: ``-p`` would make it warn of local-only mode."""
     file = os.memfd_create("mosquitto.conf", 0)  # without MFD_CLOEXEC
     os.write(file, text.encode())

@@ -32,7 +32,7 @@ class Layout(Protocol):
         """UDP port of the PC."""
 
     @property
-    def answered(self) -> bool:
+    def expects_replies(self) -> bool:
         """Whether the controller expects replies."""
 
     @property
@@ -206,8 +206,8 @@ class ControllerSide:
 
 
 @dataclass(frozen=True)
-class Words:
-    """Words of a make's pendant and files.
+class Terms:
+    """Terms of a make's pendant and files.
 
     Attributes:
         no_stop: Why a reply cannot end the program, and what to do.
@@ -268,7 +268,7 @@ class Make(Generic[LayoutT]):
     name: str
     absolute: bool
     cycles: Mapping[int, str]
-    words: Words
+    terms: Terms
     no_status: ControllerStatus
     plain: Callable[[Sequence[str]], LayoutT]
     read_layout: Callable[[dict[str, Any]], LayoutT]

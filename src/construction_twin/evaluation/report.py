@@ -28,9 +28,9 @@ from construction_twin.evaluation.tables import (
     NOTE,
     TableRow,
     axis_name,
+    entry,
     facts,
     remarks,
-    shown,
     summarise,
     table_csv,
     table_rows,
@@ -202,9 +202,9 @@ def _error_tables(summary: Mapping) -> Iterable[str]:
 def _error_row(row: TableRow) -> list[str]:
     unit = "rad" if row.avg_m is None else "m"
     errors = (row.avg_rad, row.max_rad) if row.avg_m is None else (row.avg_m, row.max_m)
-    figures = [f"{shown(value, '.4e')} {unit}" for value in errors]
-    paper = [shown(value, ".4e") for value in (row.paper_avg_rad, row.paper_max_rad)]
-    return [row.joint, *figures, *paper, shown(row.avg_ratio, ".3g"), shown(row.max_ratio, ".3g")]
+    figures = [f"{entry(value, '.4e')} {unit}" for value in errors]
+    paper = [entry(value, ".4e") for value in (row.paper_avg_rad, row.paper_max_rad)]
+    return [row.joint, *figures, *paper, entry(row.avg_ratio, ".3g"), entry(row.max_ratio, ".3g")]
 
 
 def _figures(drawings: Mapping[str, bytes]) -> Iterable[str]:
@@ -217,11 +217,11 @@ def _figures(drawings: Mapping[str, bytes]) -> Iterable[str]:
 def _timing(summary: Mapping) -> str:
     names = ("p50", "p99", "p99_9", "max")
     times = (("round trip, ms", "round_trip_ms", ".3f"), ("RSI reply time, us", "reply_us", ".0f"))
-    rows = [[label, *(shown(summary[key].get(name), form) for name in names)] for label, key, form in times]
+    rows = [[label, *(entry(summary[key].get(name), form) for name in names)] for label, key, form in times]
     table = _table(("", "p50", "p99", "p99.9", "max"), rows, "Latency")
-    rates = [[name, shown(rate, ".3f")] for name, rate in summary["rate_hz"].items()]
+    rates = [[name, entry(rate, ".3f")] for name, rate in summary["rate_hz"].items()]
     counts = [
-        [key.replace("_", " "), shown(summary[key], "d")] for key in ("commands_sent", "commands_lost", "late_replies")
+        [key.replace("_", " "), entry(summary[key], "d")] for key in ("commands_sent", "commands_lost", "late_replies")
     ]
     return f"{table}\n{_table(('stream', 'Hz'), rates, 'Rates')}\n{_table(('count', ''), counts, 'Sent, lost, late')}"
 

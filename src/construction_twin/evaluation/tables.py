@@ -183,7 +183,7 @@ def render_tables(summary: Mapping, console: Console | None = None) -> None:
 def summary_lines(summary: Mapping) -> list[str]:
     """Return the sentences below the tables."""
     fact_lines = [f"{name}: {value}" + (f" (paper {paper})" if paper else "") for name, value, paper in facts(summary)]
-    rates = "rates: " + "   ".join(f"{name} {shown(rate, '.3f')} Hz" for name, rate in summary["rate_hz"].items())
+    rates = "rates: " + "   ".join(f"{name} {entry(rate, '.3f')} Hz" for name, rate in summary["rate_hz"].items())
     times = [_times("round trip", summary["round_trip_ms"], "ms"), _times("RSI reply time", summary["reply_us"], "us")]
     return [*fact_lines, *times, rates, *remarks(summary)]
 
@@ -198,15 +198,15 @@ def facts(summary: Mapping) -> list[tuple[str, str, str]]:
     lag = summary["lag_s"]
     return [
         ("duration", f"{summary['duration_s']:.3f} s", ""),
-        ("samples", shown(summary["samples"]), str(SAMPLES)),
-        ("waypoints", shown(summary["waypoints"]), str(WAYPOINTS)),
-        ("decimals on the wire", shown(summary["decimals"]), ""),
-        ("servo", shown(summary["servo"]), ""),
+        ("samples", entry(summary["samples"]), str(SAMPLES)),
+        ("waypoints", entry(summary["waypoints"]), str(WAYPOINTS)),
+        ("decimals on the wire", entry(summary["decimals"]), ""),
+        ("servo", entry(summary["servo"]), ""),
         *([("twin", summary["twin"], "")] if summary.get("twin") else []),
         ("lag taken out in lag_removed", "unknown" if lag is None else f"{lag * 1e3:.6f} ms", ""),
-        ("commands sent", shown(summary["commands_sent"]), ""),
-        ("commands lost", shown(summary["commands_lost"]), ""),
-        ("late RSI replies", shown(summary["late_replies"]), ""),
+        ("commands sent", entry(summary["commands_sent"]), ""),
+        ("commands lost", entry(summary["commands_lost"]), ""),
+        ("late RSI replies", entry(summary["late_replies"]), ""),
         ("largest final error", _final_errors(summary), ""),
     ]
 
@@ -221,8 +221,8 @@ def _rich_table(title: str, rows: Sequence[TableRow]) -> Table:
         joint, errors = row.joint, (row.avg_rad, row.max_rad)
         if row.avg_m is not None:
             joint, errors = f"{row.joint} [m]", (row.avg_m, row.max_m)
-        figures = [shown(value, ".4e") for value in (*errors, row.paper_avg_rad, row.paper_max_rad)]
-        table.add_row(joint, *figures, shown(row.avg_ratio, ".3g"), shown(row.max_ratio, ".3g"))
+        figures = [entry(value, ".4e") for value in (*errors, row.paper_avg_rad, row.paper_max_rad)]
+        table.add_row(joint, *figures, entry(row.avg_ratio, ".3g"), entry(row.max_ratio, ".3g"))
     return table
 
 
@@ -233,13 +233,13 @@ def _final_errors(summary: Mapping) -> str:
 
 def _times(name: str, figures: Mapping, unit: str) -> str:
     parts = [
-        f"{key.replace('_', '.')} {shown(value, '.3f' if unit == 'ms' else '.0f')}" for key, value in figures.items()
+        f"{key.replace('_', '.')} {entry(value, '.3f' if unit == 'ms' else '.0f')}" for key, value in figures.items()
     ]
     return f"{name} [{unit}]: " + "   ".join(parts)
 
 
-def shown(value, form: str = "") -> str:
-    """Return a figure; None: ``unknown``."""
+def entry(value, form: str = "") -> str:
+    """Return a figure as a table's entry; None: ``unknown``."""
     return "unknown" if value is None else format(value, form)
 
 

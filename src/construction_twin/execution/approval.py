@@ -309,7 +309,7 @@ class Approval:
         idle = executor.state is ExecutorState.IDLE and executor.sync is SyncState.IN_SYNC and not executor.unarmed
         if not idle or plan is None or not review.scene or not review.scene_alive:
             return False
-        if tool_pending(executor.tool, plan) or (self.rehearsal.awaits(plan) and not back(plan)):
+        if tool_pending(executor.tool, plan) or (self.rehearsal.lacks_result(plan) and not back(plan)):
             return False
         return not self.neighbour.obstacle(plan.id, executor.now)
 

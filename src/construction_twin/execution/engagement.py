@@ -31,7 +31,7 @@ REMEDY = Sentence("call plan_way_back, or {by_hand}", by_hand=_BY_HAND)
 #: Of the file's format.
 VERSION = 3
 #: Fields of an engagement that are texts.
-WORDS = ("plan_id", "task", "segment", "reason")
+TEXT_FIELDS = ("plan_id", "task", "segment", "reason")
 #: Largest file [bytes]: a path of some minutes.
 MOST = 64 * 2**20
 Signals = tuple[Signal, ...]
@@ -173,7 +173,7 @@ def write_engagement(path: Path, engagement: Engagement | None) -> None:
         trajectory = engagement.path.trajectory
         fields = {
             "version": VERSION,
-            **{name: getattr(engagement, name) for name in WORDS},
+            **{name: getattr(engagement, name) for name in TEXT_FIELDS},
             "end": engagement.path.end,
             "holding": [
                 [[[signal.name, signal.value] for signal in signals], scene] for signals, scene in engagement.holding
@@ -202,7 +202,7 @@ def read_engagement(path: Path, joint_names: Sequence[str]) -> Engagement | None
             (tuple(Signal(str(name), bool(value)) for name, value in signals), str(scene))
             for signals, scene in fields["holding"]
         )
-        end, words = float(fields["end"]), {name: fields[name] for name in WORDS}
+        end, words = float(fields["end"]), {name: fields[name] for name in TEXT_FIELDS}
         if not holding or not 0.0 <= end <= trajectory.duration:
             raise ValueError(f"end {end}, {len(holding)} states of the tool")
         if not all(isinstance(word, str) for word in words.values()):

@@ -183,7 +183,7 @@ class ExecutorMachine:
         if guard is Guard.BEGUN:
             return self.plan_start != 0
         if guard is Guard.KNOWN:
-            return self._played.knows(self._passed)
+            return self._played.has_stamp(self._passed)
         if guard is Guard.PAUSED:
             return self._paused
         if guard is Guard.BOUNDARY:
@@ -211,12 +211,12 @@ class ExecutorMachine:
                 assert self.setpoint is not None  # the row's guard: one was sent
                 self._stopping = [self.setpoint]
             case Action.STAND:
-                self._played.rest_where(self._passed)
+                self._played.rest_at_stamp(self._passed)
                 self._paused = row.state in (ExecutorState.PAUSING, ExecutorState.PAUSED)
             case Action.PAUSE_AFTER_HOLD:
                 self._paused = True
             case Action.ARRIVE:
-                self._played.stand()
+                self._played.rest()
                 self._work.arrive()
             case Action.ENTER:
                 self._played.enter(self._work.enter())

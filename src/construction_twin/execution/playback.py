@@ -141,7 +141,7 @@ class Progress:
         pose = self._ahead(0.0)
         self._poses = (pose, pose, pose)
 
-    def stand(self) -> None:
+    def rest(self) -> None:
         """Rest from the next setpoint on, at a rest of the trajectory."""
         self._now, self._goal = _RampStep(0.0, 0.0, 0.0), 0.0
         self._ramp.clear()
@@ -314,12 +314,12 @@ class Playback(Progress):
         self.bound(end)
         self.goal_stamp, self._begins = 0, True
 
-    def knows(self, stamp: int) -> bool:
+    def has_stamp(self, stamp: int) -> bool:
         """Return whether a recent setpoint of this execution had this nominal stamp [ns]."""
         return any(known == stamp for known, _ in self._history)
 
-    def rest_where(self, stamp: int) -> None:
-        """Rest, from the next setpoint on, at the setpoint of a nominal stamp [ns] that `has_stamp`."""
+    def rest_at_stamp(self, stamp: int) -> None:
+        """Rest, from the next setpoint on, at the setpoint of a nominal stamp [ns], if `has_stamp`."""
         self.rest_at(next(elapsed for known, elapsed in self._history if known == stamp))
         self.goal_stamp = 0
 

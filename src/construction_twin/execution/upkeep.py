@@ -51,7 +51,7 @@ class Permission(pydantic.BaseModel):
             raise ConfigurationError("estimates", list(robot.estimates), expected)
 
 
-class ExecutionNews:
+class ExecutionReporter:
     """Collects changes of executor, approvals and speed limit for report and log."""
 
     def __init__(self, executor: Executor, approval: Approval, limit: SpeedLimit):

@@ -65,7 +65,7 @@ class Refusals:
         self.last, self.later = self.later or self.last, ""
         self._has_own = self._stopped = False
 
-    def pop_unread(self, now: int) -> tuple[str, bool]:
+    def pop_unreadable(self, now: int) -> tuple[str, bool]:
         """Return the sentence on unreadable datagrams, once a second, else "", and whether its reason is a new one."""
         if now < self._published_at + NANOSECONDS or self.unread == self._published_count:
             return "", False
@@ -119,7 +119,7 @@ class ArmControl:
         self.player = Player(config, self.counters)
         self.tool = ToolSwitches(config.tool, config.layout, config.cycle_ns, self.counters) if config.tool else None
         self.intake = CommandIntake(config, self.codec, self.player)
-        self.with_mode = partial(self.mode.describe, words=config.make.words)
+        self.with_mode = partial(self.mode.describe, terms=config.make.terms)
         #: Stamp of the target in the last answer [ns]; 0 for none.
         self.command_stamp = 0
         #: The end of the controller's program was requested.

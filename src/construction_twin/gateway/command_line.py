@@ -27,7 +27,7 @@ from construction_twin.mqtt.client import Broker, load_account
 from construction_twin.mqtt.messages import Topics
 
 
-def log_beside_the_loop() -> QueueListener:
+def log_in_background() -> QueueListener:
     """Write the log in a background thread (docs/architecture.md, law 1)."""
     handler = logging.StreamHandler()
     handler.setFormatter(logging.Formatter("%(asctime)s %(name)s %(levelname)s %(message)s"))
@@ -153,13 +153,13 @@ def _run(argv: list[str]) -> int:
         "configuration %s; run %s; listening on %s:%d; broker %s", config.hash[:12], run, *address, arguments.broker
     )
     log.info("telegrams are read from %s", f"{controller} only" if controller else "any sender that begins a session")
-    words = config.make.words
+    terms = config.make.terms
     if address[1] != config.layout.port:
         log.warning(
-            "%s tells the controller to send to port %d, not %d", words.description, config.layout.port, address[1]
+            "%s tells the controller to send to port %d, not %d", terms.description, config.layout.port, address[1]
         )
     if destination != address[0] and address[0] != "0.0.0.0":
-        log.warning("%s tells the controller to send to address %s, not %s", words.description, destination, address[0])
+        log.warning("%s tells the controller to send to address %s, not %s", terms.description, destination, address[0])
     if config.layout.not_filled:
         log.info("channels that no reply fills, so they stay as they are: %s", ", ".join(config.layout.not_filled))
     if service.gateway.mode is not Mode.NORMAL:
@@ -179,7 +179,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run the gateway until SIGINT or SIGTERM; return the exit code."""
     # the log's thread may keep the interpreter for 5 ms otherwise, more than a cycle
     sys.setswitchinterval(0.001)
-    listener = log_beside_the_loop()
+    listener = log_in_background()
     try:
         return _run(sys.argv[1:] if argv is None else argv)
     finally:

@@ -91,7 +91,7 @@ class GatewayConfig:
         make = self.make
         if not self.reference and make.references:
             object.__setattr__(self, "reference", make.references[0])
-        cycles = f"{' or '.join(map(str, make.cycles))} ms: {make.words.cycles}"
+        cycles = f"{' or '.join(map(str, make.cycles))} ms: {make.terms.cycles}"
         need(type(self.cycle) is int and self.cycle in make.cycles, "cycle", cycles)
         need(type(self.decimals) is int and 1 <= self.decimals <= 6, "decimals", "1 to 6")
         need(isinstance(self.properties, bool), "properties", "true or false")

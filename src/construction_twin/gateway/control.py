@@ -60,7 +60,7 @@ class Ownership:
         """Record a session that begins to command."""
         _remember(self._past_sessions, session)
 
-    def has_had_turn(self, session: str) -> bool:
+    def has_commanded(self, session: str) -> bool:
         """Return whether a session commands or has commanded."""
         return session in self._past_sessions
 
@@ -222,7 +222,7 @@ class CommandHandler:
 
     def _on_other_session(self, session: str | None, now: int) -> None:
         gateway = self._gateway
-        if session is not None and gateway.command_session and not self.owners.has_had_turn(session):
+        if session is not None and gateway.command_session and not self.owners.has_commanded(session):
             self.owners.record_intruder(session)
         else:
             gateway.player.learn_from_stall(session, now)
@@ -320,7 +320,7 @@ class CommandHandler:
                 "{distance} off the held pose: the arm was moved, or still moves; reset, or start the controller's program again",
                 distance=distance,
             )
-        if self.owners.has_had_turn(occasion.session):
+        if self.owners.has_commanded(occasion.session):
             return Sentence("session {session} has had its turn; begin another", session=occasion.session)
         return ""
 
@@ -362,13 +362,13 @@ class CommandHandler:
         return Answer(True, f"{count} armed {'switch is' if count == 1 else 'switches are'} void")
 
     def _end(self, control: Control, now: int) -> Answer:
-        gateway, words = self._gateway, self._gateway.config.make.words
+        gateway, terms = self._gateway, self._gateway.config.make.terms
         if not gateway.config.layout.stop:
-            return self._refuse(control.verb, words.no_stop)
+            return self._refuse(control.verb, terms.no_stop)
         if gateway.player.follower is None or gateway.state is State.FAILED:
             return self._refuse(control.verb, gateway.sentence)
         gateway.end(Sentence("end {asked}", asked=_asked(control)))
-        return Answer(True, words.ends)
+        return Answer(True, terms.ends)
 
     def _reset(self, control: Control, now: int) -> Answer:
         gateway, done = self._gateway, Sentence("reset")

@@ -36,7 +36,7 @@ class ControllerClock:
     def __init__(self, make: Make, cycle_ms: int, measures: bool = True):
         self.measures = measures
         self._cycle = cycle_ms
-        self._modes, self._words = make.cycles, make.words
+        self._modes, self._terms = make.cycles, make.terms
         self._first, self._patient, self._base = FIRST // cycle_ms, PATIENT // cycle_ms, BASE // cycle_ms
         # the stamp as it would be without a wrap, and arrival
         self._arrivals: deque[tuple[int, int]] = deque(maxlen=self._patient)
@@ -151,7 +151,7 @@ class ControllerClock:
         return Sentence(
             "the controller's cycle is {step:g} ms ({stamp} steps of {step:g}); expected {expected} ms: {setting}",
             step=step,
-            stamp=self._words.stamp,
+            stamp=self._terms.stamp,
             expected=self._cycle,
-            setting=self._words.cycle.format(self._modes[self._cycle]),
+            setting=self._terms.cycle.format(self._modes[self._cycle]),
         )

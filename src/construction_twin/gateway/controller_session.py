@@ -92,7 +92,7 @@ class ControllerSession:
         self._limits = config.limits
         self._tolerances = config.start_tolerances
         self._rules = config.make.rules(config)
-        self._words = config.make.words
+        self._terms = config.make.terms
         self._counters = counters
         self._timeout = round(config.timeout * NANOSECONDS)
         self._timeout_ms = round(config.timeout * 1000)
@@ -108,7 +108,7 @@ class ControllerSession:
         #: The last step of the clock that was not a cycle [ms].
         self.jump_ms = 0
         self._source: object = None
-        self._answered = config.layout.answered
+        self._expects_replies = config.layout.expects_replies
         self._refused = False
         self._last_missed = 0
         # what most telegrams mean
@@ -139,7 +139,7 @@ class ControllerSession:
         missed = elapsed > self._cycle or (telegram.missed is not None and telegram.missed > self._last_missed)
         refusal, lost = "", False
         drifted_to: tuple[float, ...] = ()
-        if not self._answered:
+        if not self._expects_replies:
             self.store_measured(telegram)
         elif not self._refused:
             if not self.origin:
@@ -244,7 +244,7 @@ class ControllerSession:
             self.jump_ms = step
             if 0 < step * STAMP_NS <= self._timeout:
                 return False
-            self.begin_reason = Sentence("{stamp} jumped by {jump} ms", stamp=self._words.stamp, jump=step)
+            self.begin_reason = Sentence("{stamp} jumped by {jump} ms", stamp=self._terms.stamp, jump=step)
             self._counters["sessions_by_ipoc_jump"] += 1
         self._rules.begin()
         return True
@@ -253,7 +253,7 @@ class ControllerSession:
         """Return whether missing cycles hide a restart of the session, by the make's own signs."""
         sign = self._rules.restart_sign(telegram, self.origin, self.replies.sent, moving)
         if sign:
-            jump, protocol = self.jump_ms, self._words.protocol
+            jump, protocol = self.jump_ms, self._terms.protocol
             self.begin_reason = Sentence(
                 "{sign}, {jump} ms on: {protocol} was switched on anew", sign=sign, jump=jump, protocol=protocol
             )

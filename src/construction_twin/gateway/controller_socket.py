@@ -108,7 +108,7 @@ class ControllerSocket:
         # a second one: whatever has become of the inbox's, it reads on after a failure
         self._parse = make.reader(config).parse
         self.inbox = TelegramInbox(gateway, self._receive, controller)
-        self.encoder = make.encoder(config) if config.layout.answered else None
+        self.encoder = make.encoder(config) if config.layout.expects_replies else None
         self._gateway = gateway
         self._sock = sock
         # the datagram read last, and its source

@@ -137,11 +137,11 @@ class Gateway(ArmControl):
         return controller.replies.answer(position, controller.origin)
 
     def _begin_controller_session(self, telegram: Telegram) -> None:
-        words = self.config.make.words
+        terms = self.config.make.terms
         began = Sentence(
             "{protocol} session began at {stamp} {value}: {why}",
-            protocol=words.protocol,
-            stamp=words.stamp,
+            protocol=terms.protocol,
+            stamp=terms.stamp,
             value=telegram.controller_ms,
             why=self.controller.begin_reason,
         )
@@ -215,7 +215,7 @@ class Gateway(ArmControl):
             why = Sentence("{silence}; the last one said: {said}", silence=why, said=said) if said else why
             machine.on(Event.CONTROLLER_SILENT, Occasion(why))
         if machine.state is State.NO_CONTROLLER and self.refusals.unread:
-            sentence, is_new = self.refusals.pop_unread(now)
+            sentence, is_new = self.refusals.pop_unreadable(now)
             if sentence:
                 machine.append_to_reason(sentence)
                 machine.changed = machine.changed or is_new

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
-from construction_twin.controller.port import Words
+from construction_twin.controller.port import Terms
 from construction_twin.core import state_table
 from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.gateway.config import GatewayConfig
@@ -22,11 +22,11 @@ class Mode(Enum):
     @classmethod
     def of(cls, config: GatewayConfig, commissioning: bool) -> Mode:
         """Return the mode; a layout without replies comes first."""
-        if not config.layout.answered:
+        if not config.layout.expects_replies:
             return cls.READ_ONLY
         return cls.COMMISSIONING if commissioning else cls.NORMAL
 
-    def describe(self, sentence: str, words: Words) -> str:
+    def describe(self, sentence: str, terms: Terms) -> str:
         """Return a sentence with what the mode means for the arm."""
         if self is Mode.NORMAL:
             return sentence
@@ -34,7 +34,7 @@ class Mode(Enum):
             return Sentence(
                 "{what}; commissioning: every correction is sent as zero, the arm does not move", what=sentence
             )
-        why = words.read_only
+        why = terms.read_only
         return Sentence("{what}; {why}, so nothing is answered and no motion can be commanded", what=sentence, why=why)
 
 

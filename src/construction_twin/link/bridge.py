@@ -277,7 +277,7 @@ class Bridge:
         """Return the message that voids what is armed where the gate has closed."""
         return self._tool.on_gate(is_open, self.supervisor.session) if self.supervisor.sends_control else None
 
-    def tool_news(self) -> ToolReport | None:
+    def changed_tool_report(self) -> ToolReport | None:
         """Return the report on `tool` where it has changed."""
         obstacle = ""
         if not self.supervisor.sends_control:
@@ -355,7 +355,7 @@ class Bridge:
             return supervisor.reason
         return join_sentences(supervisor.reason, supervisor.inputs.status.controller_sentence)
 
-    def news(self, now: int, connection: str) -> tuple[bool, bool]:
+    def report_due(self, now: int, connection: str) -> tuple[bool, bool]:
         """Return whether a report of the link is due, and whether more than figures have changed."""
         supervisor = self.supervisor
         news = supervisor.state, without_counts(self.reason(connection)), supervisor.session

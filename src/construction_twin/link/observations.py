@@ -130,7 +130,7 @@ class LinkObservations(ArmAndStream):
 
     def on_status(self, status: GatewayStatus, now: int) -> str:
         """Store a status; return why it is ignored, "" when it counts."""
-        problem = "" if self._bare else self._why_not_believed(status, now)
+        problem = "" if self._bare else self._reason_to_ignore(status, now)
         if status.kind != PLC and status.run != self.status.run:
             if problem and status.state != OFFLINE:
                 self._other_run, self._other_at = status.run, now
@@ -142,7 +142,7 @@ class LinkObservations(ArmAndStream):
             self._record_stop()
         return problem
 
-    def _why_not_believed(self, status: GatewayStatus, now: int) -> str:
+    def _reason_to_ignore(self, status: GatewayStatus, now: int) -> str:
         """Return why a status is ignored: while a gateway answers, only its own run may end a motion."""
         known = self.status
         if known.state == OFFLINE or now - self._status_at > STATUS_TIMEOUT:

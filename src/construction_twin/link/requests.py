@@ -46,7 +46,7 @@ def _not_blank(text: str) -> str:
 def _unit_length(values: tuple[float, ...]) -> tuple[float, ...]:
     norm = math.hypot(*values)
     if abs(norm - 1.0) > _UNIT:
-        raise PayloadError("values", f"orientation is {shown(list(values))}; expected x y z w of length 1")
+        raise PayloadError("values", f"orientation is {value_text(list(values))}; expected x y z w of length 1")
     return tuple(value / norm for value in values)
 
 
@@ -110,13 +110,13 @@ def read(model: type[_Model], document: Mapping[str, Any], what: str) -> _Model:
     except pydantic.ValidationError as error:
         first = error.errors(include_url=False, include_context=False)[0]
     place = ".".join(map(str, first["loc"])) or what
-    found = "nothing" if first["type"] == "missing" else shown(first["input"])
+    found = "nothing" if first["type"] == "missing" else value_text(first["input"])
     expected = repr(first["msg"])[1:-1][:200]
     reason = "values" if first["type"] in _OF_NUMBERS else "format"
-    raise PayloadError(reason, f"field {shown(place)} of a {what} message holds {found}: {expected}")
+    raise PayloadError(reason, f"field {value_text(place)} of a {what} message holds {found}: {expected}")
 
 
-def shown(value: object) -> str:
+def value_text(value: object) -> str:
     """Return a value as a short text, of what is nested only the kind."""
     if isinstance(value, dict) and (len(value) > 8 or any(isinstance(item, (dict, list)) for item in value.values())):
         return f"an object of {len(value)}"
@@ -140,7 +140,7 @@ class Joints:
         if set(values) != set(self.names):
             names = ", ".join(self.names)
             raise PayloadError(
-                "joints", f"{key} names {shown(sorted(values))}; expected an object with each of {names} once"
+                "joints", f"{key} names {value_text(sorted(values))}; expected an object with each of {names} once"
             )
         return tuple(values[name] for name in self.names)
 
@@ -194,7 +194,7 @@ class Verdict(Request):
     moment: Text = ""
 
     @pydantic.model_validator(mode="after")
-    def _an_approval_is_of_a_moment(self) -> Verdict:
+    def _check_moment(self) -> Verdict:
         if self.verdict == "approved":
             parse_moment(self.moment)
         return self
@@ -346,7 +346,7 @@ def read_goal(document: Mapping[str, Any], joints: Joints) -> GoalRequest:
     """Return the request for a plan in a document of `read_document`, or raise PayloadError."""
     kind = document.get("kind")
     if not isinstance(kind, str) or kind not in GOALS:
-        raise PayloadError("format", f"kind is {shown(kind)}; expected one of {', '.join(GOALS)}")
+        raise PayloadError("format", f"kind is {value_text(kind)}; expected one of {', '.join(GOALS)}")
     fields: dict[str, Any] = dict(read(GOALS[kind], document, f"plan_request {kind}"))
     if "joints" in fields:
         fields["joints"] = joints.in_order(fields["joints"], "joints")

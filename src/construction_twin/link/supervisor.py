@@ -130,7 +130,7 @@ class LinkSupervisor:
         """Start over from the arm's pose, for a person: clear the stops known now, no later one; ReviewError where it cannot."""
         if self.mirrors:
             raise ReviewError(Sentence("cannot reset: the arm leads; call mirror with false, which ends in the same"))
-        if why := self._why_not_now(now):
+        if why := self._session_obstacle(now):
             raise ReviewError(Sentence("cannot reset: {why}", why=why))
         self._want_session()
 
@@ -144,7 +144,7 @@ class LinkSupervisor:
         self._reset_wanted, self._stop_at_request = True, self.known_stop
         self.requests += 1
 
-    def _why_not_now(self, now: int, mirrors: bool = False) -> str:
+    def _session_obstacle(self, now: int, mirrors: bool = False) -> str:
         """Return the obstacle to a session, or in mirror mode to following; "" for none."""
         if missing := self.inputs.obstacle(now, mirrors):
             return missing[1]
@@ -177,7 +177,7 @@ class LinkSupervisor:
     def begin_mirror(self, now: int) -> str:
         """Let the arm lead, for a person: nothing is commanded until `end_mirror`. Return a sentence, or raise ReviewError."""
         if not self.mirrors:
-            if why := self._why_not_now(now, mirrors=True):
+            if why := self._session_obstacle(now, mirrors=True):
                 raise ReviewError(Sentence("cannot mirror: {why}", why=why))
             # a new session without a right to command: executor and gate start over; what failed before still waits for a person
             self.mirrors, self._ended_session, self.session = True, self.session, self._new_id()
@@ -189,7 +189,7 @@ class LinkSupervisor:
         """Stop following the arm, for a person, and start over as after `reset`. Return a sentence, or raise ReviewError."""
         if not self.mirrors:
             raise ReviewError(Sentence("the arm does not lead: {why}", why=self.sentence))
-        if why := self._why_not_now(now, mirrors=True):
+        if why := self._session_obstacle(now, mirrors=True):
             raise ReviewError(Sentence("cannot leave mirror mode: {why}", why=why))
         self.mirrors = False
         self._want_session()

@@ -125,7 +125,7 @@ class MockController:
         self.status_shown = MockStatus()
         self._absolute = make.absolute
         #: What people call things on it.
-        self.words = make.words
+        self.terms = make.terms
         side = make.controller_side(layout, config.axes, config.units, config.precision)
         self._encode, self._decode, self._status = side.encode, side.decode, side.status
         self.tool: SimulatedTool | None = None
@@ -212,13 +212,13 @@ class MockController:
             behind, beside = divmod(stamp_step(telegram.controller_ms, self.stamp, _LONGEST_STEP), self.config.cycle)
             if behind > 0 and not beside and stamp_step(self._first_stamp, telegram.controller_ms, _LONGEST_STEP) >= 0:
                 cycles = f"cycle{'s' if behind > 1 else ''}"
-                late = f"the reply to {self.words.stamp} {telegram.controller_ms} came {behind} {cycles} late"
+                late = f"the reply to {self.terms.stamp} {telegram.controller_ms} came {behind} {cycles} late"
                 return self._refuse("late_replies", "late", late)
-            found = f"the reply carries {self.words.stamp} {telegram.controller_ms}"
+            found = f"the reply carries {self.terms.stamp} {telegram.controller_ms}"
             expected = f"{found}; expected that of the packet, unchanged: {self.stamp}"
             return self._refuse("mismatched", "stamp", expected)
         if not in_time:
-            late = f"the reply to {self.words.stamp} {telegram.controller_ms} came after the end of its cycle"
+            late = f"the reply to {self.terms.stamp} {telegram.controller_ms} came after the end of its cycle"
             return self._refuse("late_replies", "late", late)
         if self._reply is not None:
             return self._count("duplicates")
@@ -370,7 +370,7 @@ class MockController:
         self.counters["without_stop"] += reply.stop is None and self._stop_declared
         stop = bool(reply.stop)
         if stop and not self._stop_level:
-            self._stop(f"stop: requested by the PC, {self.words.ended}")
+            self._stop(f"stop: requested by the PC, {self.terms.ended}")
         self._stop_level = stop
         wanted = reply.target
         if self._absolute:

@@ -268,16 +268,16 @@ class FaultBoard:
     def _channel(self, fault: Fault):
         """Return the acts that falsify an optional channel, and restore it."""
 
-        def tell(value: float | None) -> None:
+        def set_status(value: float | None) -> None:
             self.controller.status_shown = replace(self.controller.status_shown, **{fault.name: value})  # type: ignore[arg-type]
 
         value = fault.values[0] if fault.values else 0.0
-        return lambda: tell(value if fault.name == "override" else int(value)), lambda: tell(None)
+        return lambda: set_status(value if fault.name == "override" else int(value)), lambda: set_status(None)
 
     def _grip(self, fault: Fault):
         tool = self.controller.tool
         if tool is None:
-            file = self.controller.words.description
+            file = self.controller.terms.description
             raise ConstructionTwinError(f"{fault.name}: found None, expected {file} with channels of a tool")
         return {
             "grip_fails": (partial(setattr, tool, "fails", True), partial(setattr, tool, "fails", False)),

@@ -143,7 +143,7 @@ class MockRsi:
         if not controller.running:
             if self._stopped_at is None:
                 self._stopped_at = now
-                self._log(f"{controller.words.protocol} session {controller.session} stopped: {controller.reason}")
+                self._log(f"{controller.terms.protocol} session {controller.session} stopped: {controller.reason}")
             answered = controller.counters["replies"] > self._replies
             wait = self._restart_after if answered else min(self._restart_after, _UNANSWERED)
             due = self._restart_after and now - self._stopped_at >= wait
@@ -158,13 +158,13 @@ class MockRsi:
             before = self._socket
             self._socket, self._stamped = _open_socket()
             before.close()
-            begun = f"session {controller.session} started, {controller.words.stamp} {controller.stamp}"
-            self._log(f"{controller.words.protocol} {begun}, gateway {self._gateway}")
+            begun = f"session {controller.session} started, {controller.terms.stamp} {controller.stamp}"
+            self._log(f"{controller.terms.protocol} {begun}, gateway {self._gateway}")
 
     def _log_refusals(self) -> None:
         lines = self.controller.refusals.log_lines
         for sentence in lines:
-            self._log(f"{self.controller.words.protocol} session {self.controller.session}: {sentence}")
+            self._log(f"{self.controller.terms.protocol} session {self.controller.session}: {sentence}")
         lines.clear()
 
     def _send(self, packet: bytes) -> None:

@@ -116,7 +116,7 @@ def gateway_address(settings: MockSettings) -> tuple[str, int]:
     if settings.gateway_port:
         return settings.gateway_host, settings.gateway_port
     if make.file is not None and not settings.ethernet_xml:
-        raise ConfigurationError("gateway_port", 0, f"a port, or {make.words.description} that names it")
+        raise ConfigurationError("gateway_port", 0, f"a port, or {make.terms.description} that names it")
     return settings.gateway_host, layout.port
 
 

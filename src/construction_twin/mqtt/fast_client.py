@@ -80,7 +80,7 @@ def _text(packet: bytes, at: int, end: int) -> tuple[str | None, int]:
     return (text if text.isprintable() else None), stop
 
 
-def whole_publish(ahead: bytes) -> tuple[int, int] | None:
+def publish_span(ahead: bytes) -> tuple[int, int] | None:
     """Return where the topic begins and the packet ends of a PUBLISH of QoS 0 below 16 kB that has come whole, else None."""
     if len(ahead) < 3 or ahead[0] & 0xFE != paho.PUBLISH:
         return None
@@ -210,7 +210,7 @@ class FastClient(paho.Client):
             ahead = sock.recv(_AHEAD, socket.MSG_PEEK)
         except OSError:
             return super()._packet_read()
-        span = whole_publish(ahead)
+        span = publish_span(ahead)
         plain = read_plain(ahead[span[0] : span[1]]) if span is not None else None
         if span is None or plain is None:
             return super()._packet_read()

@@ -137,7 +137,7 @@ class FailedRequest:
     sentence: str
 
 
-def _remembered(plan: Callable[..., Plan]) -> Callable[..., Plan]:
+def _store_failure(plan: Callable[..., Plan]) -> Callable[..., Plan]:
     """Decorate a method of `PlanningPipeline` to store its last failed call."""
     form = inspect.signature(plan)
 
@@ -224,13 +224,13 @@ class PlanningPipeline:
             ):
                 raise NoSceneError(self._source)
 
-    @_remembered
+    @_store_failure
     def to_joints(self, start: JointValues, goal: JointValues, request: PlanRequest | None = None) -> Plan:
         """Plan a motion between two joint vectors; see `Planner.plan_to_joints`."""
         asked = request or PlanRequest()
         return self._in_scene(lambda world: self._planner.plan_to_joints(start, goal, asked, world))
 
-    @_remembered
+    @_store_failure
     def to_pose(
         self, start: JointValues, pose: Pose, request: PlanRequest | None = None, configuration: str = ""
     ) -> Plan:
@@ -238,7 +238,7 @@ class PlanningPipeline:
         asked = request or PlanRequest()
         return self._in_scene(lambda world: self._planner.plan_to_pose(start, pose, asked, world, configuration))
 
-    @_remembered
+    @_store_failure
     def along(
         self, start: JointValues, waypoints: Sequence[ToolWaypoint], speed: float | None, request: PlanRequest
     ) -> Plan:
@@ -254,7 +254,7 @@ class PlanningPipeline:
 
         return self._in_scene(lambda world: self._checked(build, "cartesian", request, world))
 
-    @_remembered
+    @_store_failure
     def through(self, start: JointValues, waypoints: Waypoints, request: PlanRequest, retime: bool = False) -> Plan:
         """Plan a motion through joint waypoints made elsewhere; see `waypoints.plan_waypoints`.
 
@@ -294,7 +294,7 @@ class PlanningPipeline:
         plan = request.plan(planner, planning_time, timed.trajectory, measured, world.scene.hash)
         return replace(plan, retimed=why)
 
-    @_remembered
+    @_store_failure
     def work(self, start: JointValues, task: str, segments: Sequence[WorkSegment], request: PlanRequest) -> Plan:
         """Join the segments of a task to a work plan and check each in its scene; see `work_plan.plan_work`."""
         bounds = self._settings.bounds
@@ -302,7 +302,7 @@ class PlanningPipeline:
             lambda world: plan_work(task, segments, start, request, world, bounds, self._clock)
         )  # fmt: skip
 
-    @_remembered
+    @_store_failure
     def way_back(
         self, start: JointValues, task: str, path: ExecutedPath, requires: tuple[Signal, ...], request: PlanRequest
     ) -> Plan:

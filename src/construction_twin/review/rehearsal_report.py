@@ -134,7 +134,7 @@ class RehearsalReport:
     stamp: Annotated[int, SECONDS] = seconds_field()
 
 
-def is_whole(report: RehearsalReport) -> bool:
+def matches_hash(report: RehearsalReport) -> bool:
     """Return whether a received report matches its hash."""
     if report.state not in STATES or (report.state == PASSED and report.reasons):
         return False
@@ -191,7 +191,7 @@ class RehearsalCheck:
             return None
         return report
 
-    def awaits(self, plan: Plan) -> bool:
+    def lacks_result(self, plan: Plan) -> bool:
         """Return whether a required result is missing."""
         return self.required and self.report_of(plan) is None
 

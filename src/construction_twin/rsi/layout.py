@@ -66,7 +66,7 @@ class RsiLayout:
         return f"SENTYPE {self.sentype}, {carried}"
 
     @property
-    def answered(self) -> bool:
+    def expects_replies(self) -> bool:
         """False with ONLYSEND."""
         return not self.onlysend
 

@@ -15,7 +15,7 @@ from construction_twin.controller.port import (
     MockStatus,
     Reader,
     Setup,
-    Words,
+    Terms,
 )
 from construction_twin.controller.telegram import Telegram
 from construction_twin.controller.tool import ENABLE, HOLDON, GatewayTool
@@ -226,7 +226,7 @@ def encoder(setup: Setup[RsiLayout]) -> SensorEncoder:
 
 def last_resort(setup: Setup[RsiLayout]) -> LastResort:
     """Return RSI's view for the last resort."""
-    if not setup.layout.answered:
+    if not setup.layout.expects_replies:
         return LastResort(setup.limits, None, setup.cycle)
     copied = encoder(setup)
     counts = partial(_count, _find_ipoc), partial(_count, _find_delay)
@@ -269,7 +269,7 @@ def controller_side(
         return encoder.encode(ipoc, *poses, delay, status_of(shown), signals)
 
     decode = None
-    if layout.answered:
+    if layout.expects_replies:
         decode = SensorDecoder(layout.sentype, axes, layout.receive, units, layout.switched).parse
     holdon = dict(zip(layout.receive, layout.holdon))
     holds = [any(held for channel, held in holdon.items() if channel.partition(".")[2] == axis) for axis in axes]
@@ -293,7 +293,7 @@ MAKE = Make(
     name=RsiLayout.make,
     absolute=False,
     cycles=CYCLES,
-    words=Words(
+    terms=Terms(
         protocol="RSI",
         stamp="IPOC",
         read_only=Sentence("read-only: the Ethernet XML has ONLYSEND TRUE"),

@@ -181,7 +181,7 @@ class Missing:
         return _wait_reason(self.kind, self.deployment)
 
     @property
-    def news(self) -> tuple[str, str]:
+    def log_key(self) -> tuple[str, str]:
         """The key whose change is worth another line."""
         return self.kind, without_counts(self.reason)
 
@@ -209,13 +209,13 @@ class StartUp:
         missing, before = first_missing(inputs, self._deployment), self.missing
         if missing is None or before is None or missing.kind != before.kind or not self._since:
             self._since = self._reason_since = now
-        elif missing.news != before.news:
+        elif missing.log_key != before.log_key:
             self._reason_since = now
         self.missing = missing
         if missing is None:
             return self._become_ready()
         logged = self._logged
-        if logged is not None and missing.news == logged.news:
+        if logged is not None and missing.log_key == logged.log_key:
             return []
         # reasons that alternate must not keep back that something is missing, nor make a line each
         was_logged = logged is not None and missing.kind == logged.kind

@@ -21,7 +21,7 @@ from construction_twin.extensions.console.remote_review import (
     MAX_TRAJECTORY_NUMBERS,
     PathView,
     PlanBoard,
-    shown,
+    shortened,
 )
 from construction_twin.robot.motion_errors import TrajectoryError
 from construction_twin.robot.plan import content_hash
@@ -146,7 +146,7 @@ def test_the_longest_plan_stays_far_below_the_broker_s_limit():
 
 
 def test_a_text_is_cut_only_when_it_is_long():
-    assert shown("x" * 200) == "x" * 200 and shown("x" * 201) == "x" * 197 + "..."
+    assert shortened("x" * 200) == "x" * 200 and shortened("x" * 201) == "x" * 197 + "..."
 
 
 # -- board

@@ -188,4 +188,4 @@ def test_what_is_remembered_of_sessions_is_bounded():
     owners = Ownership()
     for k in range(MEMORY + 1):
         owners.begin(f"s{k}")
-    assert not owners.has_had_turn("s0") and owners.has_had_turn("s1") and owners.has_had_turn(f"s{MEMORY}")
+    assert not owners.has_commanded("s0") and owners.has_commanded("s1") and owners.has_commanded(f"s{MEMORY}")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from construction_twin.replay import PLANNED, main, model_failure, replayed
+from construction_twin.replay import PLANNED, main, model_failure, replay
 
 FILES = sorted((Path(__file__).parents[2] / "data" / "failures").glob("*.json"))
 
@@ -16,7 +16,7 @@ FILES = sorted((Path(__file__).parents[2] / "data" / "failures").glob("*.json"))
 def test_a_failure_ends_as_it_is_expected_to(file):
     document = json.loads(file.read_text())
     # `sentence` is how it ended then, `expected` how it has to end since it was mended
-    assert replayed(document) == document.get("expected", document["sentence"])
+    assert replay(document) == document.get("expected", document["sentence"])
 
 
 def test_what_ends_otherwise_than_then_is_told_by_the_exit_code(tmp_path, capsys):
@@ -36,7 +36,7 @@ def test_a_mesh_of_the_scene_comes_with_the_file(tmp_path):
     from scene_samples import box_triangles, write_stl
 
     from construction_twin.planning.pipeline import PlanningPipeline
-    from construction_twin.replay import request_json, written
+    from construction_twin.replay import failure, request_json
     from construction_twin.robot.motion_errors import PlanningError
     from construction_twin.scene.objects import Scene, SceneObject
 
@@ -48,11 +48,11 @@ def test_a_mesh_of_the_scene_comes_with_the_file(tmp_path):
     with pytest.raises(PlanningError):
         pipeline.to_joints(tuple(HOME), tuple(HOME + 0.1), REQUEST)
     failed = pipeline.failed
-    text = written(
+    text = failure(
         "plan", failed.sentence, {}, **{key: document[key] for key in ("robot", "settings")}, **request_json(failed)
     )
     mesh.unlink()
-    assert replayed(json.loads(text)) == failed.sentence != PLANNED
+    assert replay(json.loads(text)) == failed.sentence != PLANNED
 
 
 def test_what_cannot_be_replayed_is_one_sentence(tmp_path, capsys):

@@ -127,7 +127,7 @@ def frames_of(robot: RobotModel) -> RobotFrames:
 
 
 def test_their_frames_are_where_they_stand():
-    frames = frames_of(read_robot_files(XACRO, YAML)).still("physical", Time(1))
+    frames = frames_of(read_robot_files(XACRO, YAML)).static_frames("physical", Time(1))
     found = {frame.child_frame_id: frame for frame in frames}
     assert {"physical/finger_left", "physical/finger_right", "physical/camera"} <= found.keys()
     assert found["physical/finger_right"].header.frame_id == "physical/palm"
@@ -141,17 +141,17 @@ def test_their_frames_are_where_they_stand():
 def test_every_tree_has_a_floating_joint_because_no_joint_state_holds_it():
     """joint_state_publisher leaves it out, and robot_state_publisher too; the others of the twin come from there."""
     frames = frames_of(gripper(changed("hinge", type="floating", limit=None)))
-    twin = [(frame.header.frame_id, frame.child_frame_id) for frame in frames.of_the_twin("twin", Time(1))]
+    twin = [(frame.header.frame_id, frame.child_frame_id) for frame in frames.unpublished_frames("twin", Time(1))]
     assert twin == [("world", "twin/base_link"), ("twin/palm", "twin/camera")]
-    assert "more/camera" in {frame.child_frame_id for frame in frames.still("more", Time(1))}
+    assert "more/camera" in {frame.child_frame_id for frame in frames.static_frames("more", Time(1))}
 
 
 def test_a_follower_of_the_chain_moves_with_its_leader():
     robot = gripper(changed("hinge", mimic={"joint": "wrist_3", "multiplier": "2", "offset": "0.1"}))
     assert robot.other_joints[2] == OtherJoint("hinge", "revolute", None, "wrist_3", Following("wrist_3", 2.0, 0.1))
     frames = frames_of(robot)
-    assert "p/camera" not in {frame.child_frame_id for frame in frames.still("p", Time(1))}
-    moving = {frame.child_frame_id: frame for frame in frames.moving("p", Time(1), (0.0,) * 5 + (0.3,))}
+    assert "p/camera" not in {frame.child_frame_id for frame in frames.static_frames("p", Time(1))}
+    moving = {frame.child_frame_id: frame for frame in frames.moving_frames("p", Time(1), (0.0,) * 5 + (0.3,))}
     assert len(moving) == 7
     turned = pose_from_transform_msg(moving["p/camera"].transform).rotation
     np.testing.assert_allclose(turned @ (0.0, 1.0, 0.0), (0.0, math.cos(0.7), math.sin(0.7)), atol=1e-12)

@@ -17,7 +17,7 @@ from construction_twin.core.errors import RecordError
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.execution import machine as library
 from construction_twin.execution.executor import ExecutorState
-from construction_twin.execution.upkeep import ExecutionNews
+from construction_twin.execution.upkeep import ExecutionReporter
 from construction_twin.review.record import ReviewLog
 from construction_twin.ros.nodes import executor as module
 from construction_twin.ros.shared.diagnostics import WARN, DeferredLog
@@ -181,7 +181,7 @@ def test_a_rejection_that_was_answered_is_on_record_once_although_the_node_ends_
 
 def test_what_fails_when_nobody_has_asked_for_anything_still_ends_the_node(world, monkeypatch):
     world.playing()
-    monkeypatch.setattr(ExecutionNews, "_report_key", fail)
+    monkeypatch.setattr(ExecutionReporter, "_report_key", fail)
     with pytest.raises(Unforeseen):
         world.run(1)
 
@@ -189,7 +189,7 @@ def test_what_fails_when_nobody_has_asked_for_anything_still_ends_the_node(world
 @pytest.mark.parametrize("which", ["stop", "stop_plan", "pause"])
 def test_and_of_what_goes_on_failing_not_before_the_arm_is_at_rest(world, monkeypatch, which):
     prepared(world, which)
-    monkeypatch.setattr(ExecutionNews, "_report_key", fail)
+    monkeypatch.setattr(ExecutionReporter, "_report_key", fail)
     assert act(world, which).success
     begin = len(setpoints(world))
     with pytest.raises(Unforeseen):

@@ -120,10 +120,10 @@ class PlanView:
         too_long = len(times) * (1 + 3 * len(self.joints)) > MAX_TRAJECTORY_NUMBERS
         message = replace(
             self,
-            source=shown(self.source),
-            planner=shown(self.planner),
-            scene=shown(self.scene),
-            frame=shown(self.frame),
+            source=shortened(self.source),
+            planner=shortened(self.planner),
+            scene=shortened(self.scene),
+            frame=shortened(self.frame),
             tool_path=[self.tool_path[k] for k in sampled],
             trajectory=None if too_long else self.trajectory,
             segments=sent or None,
@@ -134,14 +134,14 @@ class PlanView:
 _PLANS = pydantic.TypeAdapter(PlanView)
 
 
-def shown(text: str) -> str:
+def shortened(text: str) -> str:
     """Return a text of at most `_MAX_SHOWN` characters, cut with ..."""
     return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "..."
 
 
 def _object_names(names: Sequence[str]) -> list[str]:
     """Return the first names of many; the last entry says how many more there are."""
-    found = [shown(name) for name in names[:_MOST_OBJECTS]]
+    found = [shortened(name) for name in names[:_MOST_OBJECTS]]
     return found if len(names) <= _MOST_OBJECTS else [*found, f"and {len(names) - _MOST_OBJECTS} more"]
 
 

@@ -81,7 +81,7 @@ class SimulatedArm:
         """Joint positions, shape (n,) [rad] or [m]."""
         return self.data.qpos[self._joints].copy()
 
-    def begin_with(self, speed: np.ndarray) -> None:
+    def set_speed(self, speed: np.ndarray) -> None:
         """Set the speed of an arm at rest, shape (n,) [rad/s]."""
         self._speed = np.array(speed, dtype=float)
         self.data.qvel[self._joints] = speed

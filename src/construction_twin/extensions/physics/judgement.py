@@ -211,7 +211,7 @@ def braking(track: Track, robot: RobotModel, model_at: Callable[[float], Physics
     physics = model_at(number * CYCLE)
     physics.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     arm = SimulatedArm(physics, begin, Servo(saturates=False))
-    arm.begin_with(speed)
+    arm.set_speed(speed)
     flange, usage, step = _flange(arm), 0.0, physics.model.opt.timestep
     # from `speed` to rest at a steady rate
     passed = np.arange(1, round(min(seconds, _LONGEST_BRAKING) / step) + 1)[:, None] * step

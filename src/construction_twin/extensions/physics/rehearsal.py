@@ -287,7 +287,7 @@ class _Run:
             arm = self._arm(scene, setpoints[first], arm, begin)
             # what lies still, far from the arm, costs nothing
             arm.physics.model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP
-            diverged = self._play(arm, times[first:last], setpoints[first:last], self._watch(scene, arm.physics))
+            diverged = self._play(arm, times[first:last], setpoints[first:last], self._recorder(scene, arm.physics))
             if diverged is not None:
                 return self._diverged(named, diverged)
             first, begin = last, end
@@ -366,7 +366,7 @@ class _Run:
     def _scene_at(self, time: float) -> Scene:
         return next((scene for scene, end in self._parts if time < end), self._parts[-1][0])
 
-    def _watch(self, scene: Scene, physics: PhysicsModel) -> GripLoadRecorder | None:
+    def _recorder(self, scene: Scene, physics: PhysicsModel) -> GripLoadRecorder | None:
         """Return the recorder of the cups' load in a scene; None: no load, or no cups."""
         of = self._of
         tip = of.bodies.robot.tip_link

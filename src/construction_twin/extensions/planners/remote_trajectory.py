@@ -15,7 +15,7 @@ from pydantic import Field
 
 from construction_twin.core.errors import PayloadError
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.link.requests import Fraction, Id, Joints, Many, Number, Request, Text, read, shown
+from construction_twin.link.requests import Fraction, Id, Joints, Many, Number, Request, Text, read, value_text
 
 _FACTORS = {"rad": 1.0, "deg": math.pi / 180.0, "m": 1.0, "mm": 1e-3}
 
@@ -108,7 +108,7 @@ def _check_points(points: Sequence[TrajectoryPoint], message: TrajectoryMessage)
 def _order(names: list[str], joints: Joints) -> list[int]:
     """Return for each joint of the robot where it stands among `names`."""
     if sorted(names) != sorted(joints.names):
-        found = f"joint_names are {shown(names)}; expected each of {', '.join(joints.names)} once, in any order"
+        found = f"joint_names are {value_text(names)}; expected each of {', '.join(joints.names)} once, in any order"
         raise PayloadError("joints", found)
     return [names.index(name) for name in joints.names]
 

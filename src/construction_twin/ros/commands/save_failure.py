@@ -14,7 +14,7 @@ from construction_twin.core.records import json_value
 from construction_twin.monitor.settings import GateSettings
 from construction_twin.msg import PlanOutcome
 from construction_twin.planning.planner import PlannerSettings
-from construction_twin.replay import replayed, written
+from construction_twin.replay import failure, replay
 from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.ros.shared.robot_client import OperatorClient
 from construction_twin.views.texts import Snapshot
@@ -36,7 +36,7 @@ def running_failure(namespace: str, now: Snapshot, client: OperatorClient) -> st
         outcome = PlanOutcome(success=True)
     if not outcome.success and outcome.request:
         settings = {name: planner[name] for name in PlannerSettings.model_fields}
-        return written("plan", outcome.message, state, robot=robot, settings=settings, **json.loads(outcome.request))
+        return failure("plan", outcome.message, state, robot=robot, settings=settings, **json.loads(outcome.request))
     if now.hold is None or not now.hold.since:
         raise RequestRefused("nothing has failed: the last plan was made, and the poses do not keep the gate closed")
     joints = robot_from_parameters(f"{namespace}/").joint_names
@@ -49,7 +49,7 @@ def running_failure(namespace: str, now: Snapshot, client: OperatorClient) -> st
     settings = {name: monitor[name] for name in GateSettings.model_fields if name in monitor}
     hold = {"robot": robot, "settings": settings, "decimals": monitor["decimals"], **poses}
     try:
-        sentence = replayed({"kind": "hold", **hold})
+        sentence = replay({"kind": "hold", **hold})
     except ConstructionTwinError as error:
         raise RequestRefused(f"the hold cannot be replayed: {error}") from error
-    return written("hold", sentence, state, **hold)
+    return failure("hold", sentence, state, **hold)

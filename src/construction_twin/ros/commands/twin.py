@@ -119,7 +119,7 @@ class Command:
             )
             print(
                 f"{self._options.file}: configuration {config.hash[:12]} of {config.robot}, {config.decimals} decimals; "
-                f"{make.words.protocol} on UDP port {layout.port}, {layout.summary}; {tool}{unfilled}"
+                f"{make.terms.protocol} on UDP port {layout.port}, {layout.summary}; {tool}{unfilled}"
             )
         return Exit.DONE
 
@@ -345,12 +345,12 @@ def write_or_print(file: str, text: str) -> bool:
 def _print_report(message: Any) -> RehearsalReport:
     """Print what a rehearsal has found, and return it; ConstructionTwinError where its hash is not its own."""
     from construction_twin.evaluation.tables import table_console
-    from construction_twin.review.rehearsal_report import RehearsalReport, is_whole
+    from construction_twin.review.rehearsal_report import RehearsalReport, matches_hash
     from construction_twin.ros.messages.records import from_msg
     from construction_twin.views.rehearsal_table import rehearsal_table
 
     report = from_msg(RehearsalReport, message)
-    if not is_whole(report):
+    if not matches_hash(report):
         raise ConstructionTwinError(f"the rehearsal of plan {report.plan_id!r} is not what its hash says")
     table_console().print(rehearsal_table(report))
     return report

@@ -130,7 +130,7 @@ class RobotFrames:
         positions = {other.name: other.position for other in robot.other_joints if other.position is not None}
         # kept: its segments live in it
         self._segments = to_kdl(model.joints)
-        self._still: list[tuple[str, str, PyKDL.Frame]] = []
+        self._static: list[tuple[str, str, PyKDL.Frame]] = []
         self._floating: list[tuple[str, str, PyKDL.Frame]] = []
         self._moving: list[tuple[str, str, PyKDL.Segment, int, Following]] = []
         for number, joint in enumerate(model.joints):
@@ -139,19 +139,19 @@ class RobotFrames:
                 leader = robot.joint_names.index(following.leader)
                 self._moving.append((joint.parent, joint.child, segment, leader, following))
                 continue
-            frames = self._floating if joint.joint_type == "floating" else self._still
+            frames = self._floating if joint.joint_type == "floating" else self._static
             frames.append((joint.parent, joint.child, segment.pose(positions.get(joint.name, 0.0))))
 
-    def of_the_twin(self, prefix: str, stamp: genpy.Time) -> list[TransformStamped]:
+    def unpublished_frames(self, prefix: str, stamp: genpy.Time) -> list[TransformStamped]:
         """Return the twin's frames that the stock nodes leave out: its place, and floating joints."""
         root = _transform("world", tf_frame(prefix, self._root), self._place, stamp)
         return [root, *(_below(prefix, *frame, stamp) for frame in self._floating)]
 
-    def still(self, prefix: str, stamp: genpy.Time) -> list[TransformStamped]:
+    def static_frames(self, prefix: str, stamp: genpy.Time) -> list[TransformStamped]:
         """Return every frame of a copy that does not move with the chain."""
-        return [*self.of_the_twin(prefix, stamp), *(_below(prefix, *frame, stamp) for frame in self._still)]
+        return [*self.unpublished_frames(prefix, stamp), *(_below(prefix, *frame, stamp) for frame in self._static)]
 
-    def moving(self, prefix: str, stamp: genpy.Time, q: Sequence[float]) -> list[TransformStamped]:
+    def moving_frames(self, prefix: str, stamp: genpy.Time, q: Sequence[float]) -> list[TransformStamped]:
         """Return the frames of a copy that move with the chain."""
         return [
             _below(prefix, parent, child, segment.pose(following.factor * q[leader] + following.offset), stamp)
@@ -203,12 +203,12 @@ class DisplayNode:
         now = to_time(now_ns())
         shown = shell.has_arm(settings), True, shell.has_mass(settings), shell.knows_servos(settings)
         trees = [tree for tree, is_shown in zip(TREES, shown) if is_shown]
-        transforms = self._frames.of_the_twin(self._prefix("twin"), now)
+        transforms = self._frames.unpublished_frames(self._prefix("twin"), now)
         for tree in trees:
-            transforms += self._frames.still(self._prefix(tree), now)
+            transforms += self._frames.static_frames(self._prefix(tree), now)
         if not shell.has_arm(settings):
             # the root alone: nothing below it would move, and the links at its end would be a tree of their own
-            transforms += self._frames.of_the_twin(self._prefix("physical"), now)
+            transforms += self._frames.unpublished_frames(self._prefix("physical"), now)
         self._publishers["/tf_static"].publish(TFMessage(transforms))
 
     # -- poses
@@ -258,7 +258,7 @@ class DisplayNode:
         return shown
 
     def _publish_frames(self, tree: str, stamp: int, q: tuple[float, ...]) -> None:
-        self._publishers["/tf"].publish(TFMessage(self._frames.moving(self._prefix(tree), to_time(stamp), q)))
+        self._publishers["/tf"].publish(TFMessage(self._frames.moving_frames(self._prefix(tree), to_time(stamp), q)))
 
     # -- the monitor's state
 

@@ -27,11 +27,11 @@ from construction_twin.execution.approval import AUTO_APPROVE, Approval, AutoApp
 from construction_twin.execution.engagement import read_engagement
 from construction_twin.execution.executor import Executor
 from construction_twin.execution.segment_run import NO_ARM
-from construction_twin.execution.upkeep import DiskWriter, ExecutionNews, Permission
+from construction_twin.execution.upkeep import DiskWriter, ExecutionReporter, Permission
 from construction_twin.monitor.states import SyncState
 from construction_twin.review.plan_under_review import EXECUTOR, REJECTED, Verdict
 from construction_twin.review.record import Responsibility, ReviewLog
-from construction_twin.review.rehearsal_report import RehearsalCheck, RehearsalReport, is_whole
+from construction_twin.review.rehearsal_report import RehearsalCheck, RehearsalReport, matches_hash
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.messages.convert import engagement_to_msg, order_to_msg, plan_from_msg, tool_report_from_msg
@@ -92,7 +92,7 @@ class ExecutorNode:
         self._log_queue = DeferredLog()
         self.side_effects = executor.side_effects
         self._sync_at = 0
-        self._news = ExecutionNews(executor, self._approval, self._limit)
+        self._reporter = ExecutionReporter(executor, self._approval, self._limit)
         self._disk = DiskWriter(executor, left, self._lock, lambda problem: rospy.logerr_throttle(5.0, "%s", problem))
         rospy.on_shutdown(self.write_records)
         rospy.loginfo("verdicts are recorded in %s (%d so far)", file, self._log.file.lines)
@@ -160,7 +160,7 @@ class ExecutorNode:
     def on_rehearsal(self, message: msg.Rehearsal) -> None:
         """Store the report of a rehearsal."""
         report = from_msg(RehearsalReport, message)
-        if not is_whole(report):
+        if not matches_hash(report):
             raise PayloadError("rehearsal", f"the rehearsal of plan {report.plan_id!r} is not what its hash says")
         with self._lock:
             self._approval.rehearsal.on_report(report)
@@ -318,7 +318,7 @@ class ExecutorNode:
         with self._lock:
             run = self.side_effects.run if executor.pop_act_flag() else _run_unguarded
             events, orders = executor.pop_events(), executor.pop_orders()
-            news = run("the executor's state", self._news.pop_report, lambda: (now_ns(), str(present_moment())))
+            news = run("the executor's state", self._reporter.pop_report, lambda: (now_ns(), str(present_moment())))
             report, lines = news or (None, ())
         for order in orders:
             self._publish("tool_command", order_to_msg(order))
@@ -351,7 +351,7 @@ class ExecutorNode:
             engaged = executor.engagement.sentence
         if failed := engaged or self.side_effects.sentence:
             return Diagnosis(WARN, failed, values)
-        return Diagnosis(WARN if self._news.waits else OK, f"{executor.state.name}: {executor.reason}", values)
+        return Diagnosis(WARN if self._reporter.waits else OK, f"{executor.state.name}: {executor.reason}", values)
 
 
 def check(settings: Settings, robot: RobotModel, *_: object) -> None:

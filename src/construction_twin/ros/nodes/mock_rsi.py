@@ -126,7 +126,7 @@ class MockRsiNode:
     def diagnose(self) -> Diagnosis:
         """Return the state for `/diagnostics`."""
         controller = self._controller
-        protocol = controller.words.protocol
+        protocol = controller.terms.protocol
         values = self._mock.counters | {"last_refusal": controller.refusals.last}
         if not controller.running:
             return Diagnosis(ERROR, f"{protocol} stopped: {controller.reason}", values)

@@ -288,7 +288,7 @@ class MqttBridge:
     def _publish_link(self, now: int) -> None:
         refused, connection = self._diagnostics.refused, self._connection.sentence
         with self._lock:
-            is_due, has_changed = self._bridge.news(now, connection)
+            is_due, has_changed = self._bridge.report_due(now, connection)
             if not is_due:
                 return
             report = self._bridge.state_report(connection, refused, rospy.Time.now().to_nsec())
@@ -301,7 +301,7 @@ class MqttBridge:
     def _publish_tool(self) -> None:
         with self._tool_lock:
             with self._lock:
-                report = self._bridge.tool_news()
+                report = self._bridge.changed_tool_report()
             if report is not None:
                 self._publishers["tool"].publish(tool_report_to_msg(report, rospy.Time.now()))
 

@@ -62,7 +62,7 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
         settings["tool"] = gateway_tool(tool_of(tool, "tool"))
     timeout, cycle = settings.pop("timeout", TIMEOUT), settings.get("cycle", 4)
     if type(timeout) is not int or timeout < 1:
-        expected = f"a whole number of cycles, 1 or more, as {make.words.timeout}"
+        expected = f"a whole number of cycles, 1 or more, as {make.terms.timeout}"
         raise ConfigurationError("timeout", timeout, expected)
     ends = [
         sorted((axis.sign * low + axis.offset, axis.sign * high + axis.offset))

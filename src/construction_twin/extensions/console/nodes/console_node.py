@@ -203,7 +203,7 @@ def _services() -> Services:
     )
 
 
-def _to(part: str, handler: str) -> Callable[[ConsoleNode, Any], object]:
+def _forward_to(part: str, handler: str) -> Callable[[ConsoleNode, Any], object]:
     """Return a handler that forwards a message to a part of the node."""
     return lambda node, message: getattr(getattr(node, part), handler)(message)
 
@@ -217,19 +217,19 @@ INTERFACE = Interface(
         PolledPose(EXPECTED, when=lambda settings: bool(settings.servo_model)),
     ),
     subscribes=(
-        Subscription("execution", msg.Execution, _to("feed", "on_execution"), queue_size=10),
-        Subscription("work/tasks", msg.WorkTasks, _to("feed", "on_tasks"), queue_size=2),
-        Subscription("scene", msg.Scene, _to("feed", "on_scene"), queue_size=2),
+        Subscription("execution", msg.Execution, _forward_to("feed", "on_execution"), queue_size=10),
+        Subscription("work/tasks", msg.WorkTasks, _forward_to("feed", "on_tasks"), queue_size=2),
+        Subscription("scene", msg.Scene, _forward_to("feed", "on_scene"), queue_size=2),
         Subscription("plan", msg.Plan, ConsoleNode.on_plan, queue_size=5),
-        Subscription("rehearsal", msg.Rehearsal, _to("shown_plan", "on_rehearsal"), queue_size=5),
-        Subscription("plan_caller", msg.PlanCaller, _to("shown_plan", "on_caller"), queue_size=5),
+        Subscription("rehearsal", msg.Rehearsal, _forward_to("shown_plan", "on_rehearsal"), queue_size=5),
+        Subscription("plan_caller", msg.PlanCaller, _forward_to("shown_plan", "on_caller"), queue_size=5),
         Subscription("review", msg.Review, ConsoleNode.on_review, queue_size=10),
-        Subscription("sync", msg.Sync, _to("feed", "on_sync"), queue_size=1),
-        Subscription("hold", msg.Hold, _to("feed", "on_hold"), queue_size=1),
+        Subscription("sync", msg.Sync, _forward_to("feed", "on_sync"), queue_size=1),
+        Subscription("hold", msg.Hold, _forward_to("feed", "on_hold"), queue_size=1),
         Subscription("link", msg.Link, ConsoleNode.on_link, queue_size=5),
-        Subscription("session_request", msg.SessionRequest, _to("feed", "on_session_request"), queue_size=10),
-        Subscription("speed_change", msg.SpeedChange, _to("feed", "on_speed_change"), queue_size=50),
-        Subscription("speed_limit_in_force", msg.SpeedLimitInForce, _to("feed", "on_speed"), queue_size=1),
+        Subscription("session_request", msg.SessionRequest, _forward_to("feed", "on_session_request"), queue_size=10),
+        Subscription("speed_change", msg.SpeedChange, _forward_to("feed", "on_speed_change"), queue_size=50),
+        Subscription("speed_limit_in_force", msg.SpeedLimitInForce, _forward_to("feed", "on_speed"), queue_size=1),
     ),
 )
 # its threads take turns every millisecond: what computes a pose holds up no stop

@@ -80,7 +80,7 @@ class _Builder:
         self._own = (*bodies.bodies, *bodies.place_all(scene))
         self._meshes: dict[str, bytes] = {}
         self._remarks: list[str] = []
-        self._looks = _looks(bodies)
+        self._visuals = _visuals(bodies)
 
     def build(self, priority: int) -> GazeboWorld:
         root = ElementTree.Element("sdf", version="1.7")
@@ -98,7 +98,7 @@ class _Builder:
         _add(light, "direction", -0.4, 0.3, -0.9)
         # links that no joint moves are seen only: nothing but the arm could touch them, and its links do not
         base = [one for one in self._own if not one.joint and one.item is None]
-        self._add_shapes(_static(world, f"{_name(self._bodies.robot.name)}_base"), base, self._looks.get(0), False)
+        self._add_shapes(_static(world, f"{_name(self._bodies.robot.name)}_base"), base, self._visuals.get(0), False)
         for number, one in enumerate(each for each in self._own if each.item is not None and not each.joint):
             self._add_shapes(_static(world, f"{_name(one.owner)}_{number}"), [one])
         self._add_arm(world, priority)
@@ -129,7 +129,7 @@ class _Builder:
             for row, column in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
                 _add(inertia, f"i{'xyz'[row]}{'xyz'[column]}", properties.inertia[row, column])
             own = [one for one in self._own if one.joint == index]
-            self._add_shapes(link, [one for one in own if one.item is None], self._looks.get(index))
+            self._add_shapes(link, [one for one in own if one.item is None], self._visuals.get(index))
             self._add_shapes(link, [one for one in own if one.item is not None])
             axis = np.array(data.joints[index].S, dtype=float).ravel()
             slides = bool(np.any(axis[:3]))
@@ -214,7 +214,7 @@ class _Builder:
         return geometry
 
 
-def _looks(bodies: RobotBodies) -> dict[int, list[Element]]:
+def _visuals(bodies: RobotBodies) -> dict[int, list[Element]]:
     """Return the visuals of the URDF by the joint that moves them."""
     root, packages = ElementTree.fromstring(bodies.robot.urdf), Packages()
     frames = bodies.model.frames
