@@ -296,7 +296,7 @@ class Bench:
             if self.scene_refuses:
                 raise SceneError("the scene", self.scene_refuses, "another one")
             wanted = SceneChange(tuple(map(object_from_msg, request.put)), tuple(request.remove))
-            scene = wanted.between(self.scene, request.before, request.after)
+            scene = wanted.apply_checked(self.scene, request.before, request.after)
         except SceneError as error:
             return EditSceneResponse(False, str(error), self.scene.hash)
         self.show(scene)

@@ -146,12 +146,12 @@ class Approval:
             if plan.asked.at < self._started.at:
                 raise ReviewError(Sentence("plan {plan} is older than this executor; plan again", plan=plan.id))
             with self._lock:
-                left = self._executor.engagement.left
-            if left is not None:
+                active = self._executor.engagement.active
+            if active is not None:
                 # outside of the lock: it takes many cycles' time
-                check_way_back(plan, left)
+                check_way_back(plan, active)
             with self._lock:
-                self._executor.offer(plan, left)
+                self._executor.offer(plan, active)
         except ReviewError as error:
             with self._lock:
                 self._executor.record_withdrawal(plan, str(error))
@@ -261,15 +261,15 @@ class Approval:
         if not person or not reason:
             raise ExecutionError(Sentence("a release needs the name of a person, and how the arm was freed"))
         with self._lock:
-            left = self._releasable()
-        release = Release(person, reason, left.plan_id, left.task, left.segment)
+            active = self._releasable()
+        release = Release(person, reason, active.plan_id, active.task, active.segment)
         asked = self._clock()
         self._record(release)
         try:
             if problem := self._time_left(asked)[1]:
                 raise ExpiredError(Sentence("the release is {problem}", problem=problem))
             with self._lock:
-                if self._releasable() is not left:
+                if self._releasable() is not active:
                     raise ExecutionError(Sentence("the arm was left in another engaged segment meanwhile; look again"))
                 self._executor.engagement.clear()
         except (ExecutionError, ExpiredError) as error:
@@ -278,8 +278,8 @@ class Approval:
             raise
         return Sentence(
             "the arm, left in segment {segment} of plan {plan}, was freed by {person}: {reason}",
-            segment=repr(left.segment),
-            plan=left.plan_id,
+            segment=repr(active.segment),
+            plan=active.plan_id,
             person=person,
             reason=reason,
         )
@@ -333,7 +333,7 @@ class Approval:
         if not problem and plan.segments:
             first = plan.segments[0].requires
             problem = tool_missing(tool, plan) or tool.mismatch(first)
-            if not problem and engagement.left is not None and set(first) != set(engagement.left.requires(tool)):
+            if not problem and engagement.active is not None and set(first) != set(engagement.active.requires(tool)):
                 problem = Sentence("the tool reads something else since the way back was planned; call plan_way_back")
         if problem:
             raise ReviewError(Sentence("plan {plan} may not start: {reason}", plan=plan.id, reason=problem))
@@ -349,13 +349,13 @@ class Approval:
 
     def _releasable(self) -> Engagement:
         """Return the engagement that could be ended now, by a person who has freed the arm."""
-        left, plan = self._executor.engagement.left, self._executor.plan
-        if left is None:
+        active, plan = self._executor.engagement.active, self._executor.plan
+        if active is None:
             raise ExecutionError(Sentence("the arm is not engaged; there is nothing to release"))
         if self._executor.state in ACTIVE and plan is not None:
             values = {"plan": plan.id, "state": self._executor.state.name}
             raise ExecutionError(Sentence("plan {plan} is {state}; release the arm when it is at rest", **values))
-        return left
+        return active
 
     def _examine(
         self, plan_id: str, plan_hash: str, approve: bool, reviewer: str, reason: str, override: str | None = None

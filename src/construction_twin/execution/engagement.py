@@ -106,17 +106,17 @@ class EngagementStore:
         self.way_back: tuple[str, Engagement] | None = None
 
     @property
-    def left(self) -> Engagement | None:
-        """Where the arm was left; None: it is not engaged."""
+    def active(self) -> Engagement | None:
+        """The engagement in which the arm was left; None: not engaged."""
         return self.present if self.engaged else None
 
     @property
     def sentence(self) -> str:
         """Where the arm was left and what to do; empty: not engaged."""
-        left = self.left
-        if left is None:
+        active = self.active
+        if active is None:
             return ""
-        values = {"segment": repr(left.segment), "plan": left.plan_id, "reason": left.reason, "remedy": REMEDY}
+        values = {"segment": repr(active.segment), "plan": active.plan_id, "reason": active.reason, "remedy": REMEDY}
         return Sentence("the arm was left in engaged segment {segment} of plan {plan} ({reason}); {remedy}", **values)
 
     def is_way_back(self, plan: Plan) -> bool:
@@ -212,9 +212,9 @@ def read_engagement(path: Path, joint_names: Sequence[str]) -> Engagement | None
     except (OSError, ValueError, KeyError, TypeError, TrajectoryError) as error:
         expected = "the file that an executor of this robot wrote; free the arm, and only then delete the file"
         raise ConfigurationError(str(path), f"{type(error).__name__}: {system_message(error)}", expected) from error
-    left = Engagement(path=ExecutedPath(trajectory, end), holding=holding, **words)
+    engagement = Engagement(path=ExecutedPath(trajectory, end), holding=holding, **words)
     # one that was only expected
-    return left if left.reason else replace(left, reason="the executor ended before the plan did")
+    return engagement if engagement.reason else replace(engagement, reason="the executor ended before the plan did")
 
 
 def check_way_back(plan: Plan, engagement: Engagement) -> None:

@@ -35,8 +35,8 @@ class Executor(ExecutorMachine):
     `unarmed`: why the arm is not armed, empty: it is; `rested`: the newest stop or pause [ns of the robot's clock], or -1.
     """
 
-    def __init__(self, robot: RobotModel, left: Engagement | None = None):
-        super().__init__(robot, left)
+    def __init__(self, robot: RobotModel, saved: Engagement | None = None):
+        super().__init__(robot, saved)
         self.sync, self._policy = SyncState.WAITING, ""
         self.unarmed, self._session = "", ""
         self._acted, self.rested = False, -1
@@ -202,8 +202,8 @@ class Executor(ExecutorMachine):
 
     def offer(self, plan: Plan, way_back: Engagement | None = None) -> None:
         """Put a plan under review in place of the one before, or raise ReviewError; `way_back`: the engagement it leads out of."""
-        left = self.engagement.left
-        if left is not None and left is not way_back:
+        active = self.engagement.active
+        if active is not None and active is not way_back:
             reason = self.engagement.sentence
             raise ReviewError(Sentence("plan {plan} cannot be reviewed: {reason}", plan=plan.id, reason=reason))
         self.record_withdrawal(self.under_review.offer(plan), Sentence("replaced by plan {plan}", plan=plan.id))

@@ -90,7 +90,7 @@ class ExecutorMachine:
     """The executor's state, and how it changes: by the rows of the table, and in no other way.
 
     Args:
-        left: Where the executor before this one has left the arm engaged, if it has.
+        saved: The engagement in which the executor before this one left the arm, if any.
 
     Attributes:
         cause: Why the state was entered; `reason` is the same with what the speed limit makes of it now.
@@ -100,7 +100,7 @@ class ExecutorMachine:
         side_effects: Runs what tells of a stop, a pause or a rejection: it can fail none of them.
     """
 
-    def __init__(self, robot: RobotModel, left: Engagement | None):
+    def __init__(self, robot: RobotModel, saved: Engagement | None):
         self.robot = robot
         self.state = ExecutorState.WAITING
         self.cause: str = Sentence("started; waits for twin and physical arm to agree")
@@ -108,7 +108,7 @@ class ExecutorMachine:
         self.limit = PlayRate()
         self.playback: Playback | None = None
         self.segment_run: SegmentRun | None = None
-        self.engagement = EngagementStore(left)
+        self.engagement = EngagementStore(saved)
         self.under_review = PlanUnderReview()
         self.side_effects = SideEffects()
         self.events: list[Verdict | ExecutionEnd] = []

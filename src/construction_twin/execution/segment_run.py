@@ -442,15 +442,15 @@ class SegmentRun:
             if finished:
                 self._engagements.clear()
             return self.pop_orders()
-        left, inside = self._engagement, 0.0
-        if left is not None:
+        last, inside = self._engagement, 0.0
+        if last is not None:
             # its path begins with the first of the engaged segments
-            inside = elapsed - (self.plan.segments[self.number].end - left.path.trajectory.duration)
-        if finished or left is None or inside <= 0.0:
+            inside = elapsed - (self.plan.segments[self.number].end - last.path.trajectory.duration)
+        if finished or last is None or inside <= 0.0:
             self._engagements.clear()
         else:
-            path = replace(left.path, end=min(inside, left.path.trajectory.duration))
-            self._engagements.mark_engaged(replace(left, path=path, holding=self._possible_readings(), reason=reason))
+            path = replace(last.path, end=min(inside, last.path.trajectory.duration))
+            self._engagements.mark_engaged(replace(last, path=path, holding=self._possible_readings(), reason=reason))
         return self.pop_orders()
 
     def _possible_readings(self) -> Holding:

@@ -164,9 +164,9 @@ class DiskWriter:
         if not self.write("the engagement", lambda: store.save(self._lock, self._engagement)):
             return None
         with self._lock:
-            left, tool = store.left, self._executor.tool
-        engagement = left, left.requires(tool) if left is not None else ()
+            active, tool = store.active, self._executor.tool
+        engagement = active, active.requires(tool) if active is not None else ()
         if engagement == self._published:
             return None
         self._published = engagement
-        return left, tool
+        return active, tool

@@ -21,7 +21,7 @@ from construction_twin.mqtt.messages import (
     Intervention,
     is_session,
     message_number,
-    other_protocol,
+    protocol_mismatch,
     protocol_of,
 )
 from construction_twin.mqtt.requests import answer_limits
@@ -381,7 +381,7 @@ class CommandHandler:
         follower = gateway.player.follower
         if follower is None:
             return gateway.sentence
-        if refusal := other_protocol(PROTOCOL, protocol_of(value)):
+        if refusal := protocol_mismatch(PROTOCOL, protocol_of(value)):
             return refusal
         if not isinstance(value, dict) or set(value) != {"run", "fault_number", "protocol"}:
             return "reset must name run, fault_number and protocol of the gateway's status, and nothing else"
@@ -438,7 +438,7 @@ def _asked(control: Control) -> Sentence:
 
 def _refusal_of_value(value: object, present: str, run: str) -> str:
     """Return how the value of an `arm` differs from the present configuration's hash and run; "" for none."""
-    if refusal := other_protocol(PROTOCOL, protocol_of(value)):
+    if refusal := protocol_mismatch(PROTOCOL, protocol_of(value)):
         return refusal
     named = value if isinstance(value, dict) else {"hash": value}
     if named.get("hash") != present:

@@ -19,7 +19,7 @@ from construction_twin.gateway.gateway import Gateway
 from construction_twin.gateway.states import State
 from construction_twin.gateway.stop_file import StopFile
 from construction_twin.mqtt import requests
-from construction_twin.mqtt.client import Broker, ConnectionLog, make_client, offline_word, subscriptions, unique_id
+from construction_twin.mqtt.client import Broker, ConnectionLog, last_will, make_client, subscriptions, unique_id
 from construction_twin.mqtt.messages import (
     PROTOCOL,
     VERBS,
@@ -75,7 +75,7 @@ class MqttConnection:
         self._reply_time = reply_time
         # a last will may come late, when another run or connection speaks already: it names its own
         self._number = 1
-        will = offline_word(gateway.run, self._number)
+        will = last_will(gateway.run, self._number)
         client = make_client(broker, unique_id(topics.robot, "gateway"), topics.status, will)
         self._connection = ConnectionLog(broker, self._log_connection)
         client.on_connect = partial(run_guarded, self._on_connect)
@@ -111,7 +111,7 @@ class MqttConnection:
     def _on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
         self._connection.lost(reason_code)
         self._number += 1
-        client.will_set(self._topics.status, offline_word(self._gateway.run, self._number), qos=1, retain=True)
+        client.will_set(self._topics.status, last_will(self._gateway.run, self._number), qos=1, retain=True)
 
     def _on_command(self, payload: bytes, pairs: list[tuple[str, str]], retained: bool) -> None:
         if retained:

@@ -12,7 +12,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.gateway_status import NO_STATUS, GatewayStatus
-from construction_twin.mqtt.messages import OFFLINE, PLC, PROTOCOL, other_protocol
+from construction_twin.mqtt.messages import OFFLINE, PLC, PROTOCOL, protocol_mismatch
 
 #: A pose or command older than this is not used for a decision [ns].
 FRESH = NANOSECONDS // 4
@@ -232,7 +232,7 @@ class LinkObservations(ArmAndStream):
                 "more than one gateway answers on the broker: {runs} (each logs its run when it starts): end all but one",
                 runs=f"run {status.run} and run {self._other_run or 'without a name'}",
             )
-        if sentence := other_protocol(status.protocol, PROTOCOL):
+        if sentence := protocol_mismatch(status.protocol, PROTOCOL):
             return sentence
         if status.hash != self._hash:
             return Sentence(

@@ -148,7 +148,7 @@ def unique_id(robot: str, role: str) -> str:
 OFFLINE = json.dumps({"state": "offline", "reason": "connection lost"})
 
 
-def offline_word(run: str, connection: int) -> str:
+def last_will(run: str, connection: int) -> str:
     """Return a last will with run and connection, by which a late one is known."""
     return json.dumps({"state": "offline", "reason": "connection lost", "run": run, "connection": connection})
 

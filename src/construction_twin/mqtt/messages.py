@@ -198,7 +198,7 @@ def protocol_of(document: object) -> object:
     return document.get("protocol", FIRST_PROTOCOL) if isinstance(document, dict) else FIRST_PROTOCOL
 
 
-def other_protocol(gateway: object, bridge: object) -> str:
+def protocol_mismatch(gateway: object, bridge: object) -> str:
     """Return a sentence where gateway and bridge are of different versions, else ""."""
     if type(gateway) is type(bridge) is int and gateway == bridge:
         return ""

@@ -352,12 +352,12 @@ def _trimmed(
                 raise PlanningError(f"waypoint {number}: the path turns back there; expected blend 0")
             segments.append(blend)
         marks.append((number, len(segments) - 1))
-        if last or (not cuts[index + 1] and not _goes_on(leg, legs[index + 1][1])):
+        if last or (not cuts[index + 1] and not _is_smooth(leg, legs[index + 1][1])):
             stops.append(len(segments) - 1)
     return segments, stops, marks
 
 
-def _goes_on(leg: Leg, following: Leg) -> bool:
+def _is_smooth(leg: Leg, following: Leg) -> bool:
     if leg.turns or following.turns:
         return False
     before, after = leg.direction(leg.length), following.direction(0.0)

@@ -85,7 +85,7 @@ class RobotDecoder:
 
     def parse(self, data: bytes) -> Telegram:
         """Read a controller packet; one of IPOC alone is legal, and so are an XML declaration and exponents."""
-        known = self._of_shape(data) if self._places is not None else None
+        known = self._parse_known_shape(data) if self._places is not None else None
         if known:
             return known
         document = without_declaration(data)
@@ -107,11 +107,11 @@ class RobotDecoder:
         self._relearn_in = RELEARN_AFTER
         self._shape = split_values(data)[0]
         self._places = places_of(self._shape, (*self._measured, *self._programmed, ("Delay", "D")))
-        if self._places is not None and self._of_shape(data) != telegram:
+        if self._places is not None and self._parse_known_shape(data) != telegram:
             # the same words stand elsewhere too, e.g. in an element of an element
             self._places = None
 
-    def _of_shape(self, data: bytes) -> Telegram | None:
+    def _parse_known_shape(self, data: bytes) -> Telegram | None:
         """Read a telegram of the known shape without XML; None: another shape, or an invalid one."""
         texts, values, ipoc = split_values(data)
         if texts != self._shape or not _is_plain(b"".join(values)) or len(data) > MAX_TELEGRAM or not is_count(ipoc):

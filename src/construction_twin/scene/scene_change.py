@@ -43,7 +43,7 @@ class SceneChange:
             objects[item.name] = item if present is None else replace(item, fixed=present.fixed)
         return replace(scene, objects=tuple(objects.values()))
 
-    def between(self, scene: Scene, before: str = "", after: str = "") -> Scene:
+    def apply_checked(self, scene: Scene, before: str = "", after: str = "") -> Scene:
         """Return the scene after the change, if it leads from one expected scene (hash; empty: any) to another."""
         if before and scene.hash != before:
             expected = f"{before}, that this change was made for; plan it anew from this one"

@@ -100,7 +100,7 @@ def _closest(plan: Plan) -> str:
     clearance = plan.report.clearance
     if not math.isfinite(clearance.distance):
         return "nothing to touch"
-    return f"{clearance.distance * 1e3:.0f} mm, {between(clearance.between)}, after {clearance.time:.2f} s"
+    return f"{clearance.distance * 1e3:.0f} mm, {closest_pair(clearance.between)}, after {clearance.time:.2f} s"
 
 
 def caller_line(client: str, connected: bool | None) -> str:
@@ -236,7 +236,7 @@ def waiting_plan(plan: Plan) -> str:
     return f"plan {plan.id[:8]} waits for approval: {plan.trajectory.duration:.1f} s{closest}"
 
 
-def between(bodies: Sequence[str]) -> str:
+def closest_pair(bodies: Sequence[str]) -> str:
     """Return the names of the two bodies that come closest, as a part of a sentence."""
     return f"{bodies[0]} to {bodies[1]}" if len(bodies) == 2 else "".join(bodies)
 

@@ -23,7 +23,7 @@ from gateway_cell import (
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS, format_allowance
 from construction_twin.gateway.gateway import State
 from construction_twin.mqtt.joint_string import JointStringCodec
-from construction_twin.mqtt.messages import FIRST_PROTOCOL, PROTOCOL, other_protocol
+from construction_twin.mqtt.messages import FIRST_PROTOCOL, PROTOCOL, protocol_mismatch
 
 # -- session ---------------------------------------------------------------------------------------------------------
 
@@ -255,7 +255,7 @@ def test_a_bridge_of_another_protocol_arms_and_resets_nothing_and_learns_why():
     cell = Cell()
     cell.cycle()
     for verb, value in (("arm", cell.config.hash), ("reset", {"run": RUN, "fault_number": 0})):
-        assert cell.control(verb, value=value) == (False, other_protocol(PROTOCOL, FIRST_PROTOCOL))
+        assert cell.control(verb, value=value) == (False, protocol_mismatch(PROTOCOL, FIRST_PROTOCOL))
 
 
 def test_without_a_controller_nothing_arms_and_nothing_resets():

@@ -83,7 +83,7 @@ def test_velocities_are_those_of_the_motion():
     for cycle in range(100):
         time = cycle * 0.02
         q = tuple(value + 0.1 * (number + 1) * math.sin(time) for number, value in enumerate(HOME))
-        found = velocities.of(cycle * CYCLE, q)
+        found = velocities.update(cycle * CYCLE, q)
         if cycle == 0:
             assert found == (0.0,) * 6
             continue
@@ -94,22 +94,22 @@ def test_velocities_are_those_of_the_motion():
 
 def test_at_rest_they_are_zero():
     velocities = JointVelocities(LARGEST)
-    assert [velocities.of(cycle * CYCLE, HOME) for cycle in range(3)] == [(0.0,) * 6] * 3
+    assert [velocities.update(cycle * CYCLE, HOME) for cycle in range(3)] == [(0.0,) * 6] * 3
 
 
 @pytest.mark.parametrize("stamp, offset", [(0, 0.001), (-5, 0.001), (CYCLE, 1.0)])
 def test_a_pose_that_was_not_moved_to_is_at_rest(stamp, offset):
     """A stamp that is not newer; a twin that has taken the arm's pose over."""
     velocities = JointVelocities(LARGEST)
-    velocities.of(0, HOME)
+    velocities.update(0, HOME)
     q = tuple(value + offset for value in HOME)
-    assert velocities.of(stamp, q) == (0.0,) * 6
+    assert velocities.update(stamp, q) == (0.0,) * 6
     # and from there the motion goes on
     later = tuple(value + 0.001 for value in q)
-    np.testing.assert_allclose(velocities.of(stamp + CYCLE, later), 0.05)
+    np.testing.assert_allclose(velocities.update(stamp + CYCLE, later), 0.05)
 
 
 def test_the_robot_s_largest_speeds_tell_what_a_jump_is():
     velocities = JointVelocities((100.0,) * 6)
-    velocities.of(0, HOME)
-    np.testing.assert_allclose(velocities.of(CYCLE, tuple(value + 1.0 for value in HOME)), 50.0)
+    velocities.update(0, HOME)
+    np.testing.assert_allclose(velocities.update(CYCLE, tuple(value + 1.0 for value in HOME)), 50.0)

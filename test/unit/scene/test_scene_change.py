@@ -67,11 +67,11 @@ def test_a_name_twice_is_refused(change):
 def test_another_scene_before_or_after_is_refused():
     change = SceneChange(put=(held(STUD),), remove=("stud/1",))
     after = change.apply(SCENE)
-    assert change.between(SCENE, SCENE.hash, after.hash) == change.between(SCENE) == after
+    assert change.apply_checked(SCENE, SCENE.hash, after.hash) == change.apply_checked(SCENE) == after
     with pytest.raises(SceneError, match=f"scene to change: .*{after.hash}.*{SCENE.hash}.*plan it anew"):
-        change.between(after, SCENE.hash, after.hash)
+        change.apply_checked(after, SCENE.hash, after.hash)
     with pytest.raises(SceneError, match=f"after the change: .*{after.hash}.*{SCENE.hash}"):
-        change.between(SCENE, SCENE.hash, SCENE.hash)
+        change.apply_checked(SCENE, SCENE.hash, SCENE.hash)
 
 
 @settings(max_examples=30, deadline=None)

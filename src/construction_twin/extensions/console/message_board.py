@@ -133,7 +133,7 @@ class MessageBoard:
         at, act = change.stamp / NANOSECONDS, RAISED if change.limit > change.before else LOWERED
         with self._changing():
             id_, last = self._lowered
-            if act == LOWERED and last and id_ == self.messages[-1].id and _goes_on(last, change):
+            if act == LOWERED and last and id_ == self.messages[-1].id and _is_same_drag(last, change):
                 change = replace(change, before=last.before)
                 self._replace(id_, at=at, until=at, line=_act(act, _speed_words(change)))
             else:
@@ -178,7 +178,7 @@ def _act(act: str, sentence: str) -> Line:
     return Line(topic=PERSON, state=act, sentence=sentence, said=templates_of(sentence))
 
 
-def _goes_on(last: SpeedChange, change: SpeedChange) -> bool:
+def _is_same_drag(last: SpeedChange, change: SpeedChange) -> bool:
     return last.person == change.person and last.stamp <= change.stamp < last.stamp + DRAGGED * NANOSECONDS
 
 

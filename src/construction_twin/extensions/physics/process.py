@@ -84,7 +84,7 @@ class RehearsalRequest:
         scenes = {} if scene is None else {scene.hash: scene}
         for segment, change in zip(plan.segments, changes):
             if scene is not None:
-                scene = change.between(scene, segment.scene, segment.scene_after)
+                scene = change.apply_checked(scene, segment.scene, segment.scene_after)
                 scenes[scene.hash] = scene
         return cls(plan, scenes, masses, digest(constant, masses, standing, unweighed), standing, unweighed)
 

@@ -106,8 +106,8 @@ class JointVelocities:
         self._rest = (0.0,) * len(self._largest)
         self._last: tuple[int, tuple[float, ...]] | None = None
 
-    def of(self, stamp: int, q: tuple[float, ...]) -> tuple[float, ...]:
-        """Return the mean velocities since the last pose [rad/s], [m/s]; 0 without a newer stamp, or after a jump."""
+    def update(self, stamp: int, q: tuple[float, ...]) -> tuple[float, ...]:
+        """Store a pose and return the mean velocities since the last one [rad/s], [m/s]; 0 for no newer stamp, or a jump."""
         before, self._last = self._last, (stamp, q)
         if before is None or stamp <= before[0]:
             return self._rest
@@ -218,7 +218,7 @@ class DisplayNode:
         now = time.monotonic()
         with self._lock:
             self._twin, self._received_at, self._silent = (stamp, q), now, False
-            self._publish_twin(stamp, q, self._velocities.of(stamp, q))
+            self._publish_twin(stamp, q, self._velocities.update(stamp, q))
         # a grid, so that the rate does not depend on how long a message takes; begun anew after a silence
         self._next = max(self._next + PERIOD, now)
         # in rospy's thread of a connection: when it reads on it takes the newest of what came meanwhile

@@ -259,7 +259,7 @@ class SceneNode:
         cleared = [item.name for item in scene.objects if request.clear and not item.fixed]
         remove = [*cleared, *(name for name in request.remove if name not in cleared)]
         wanted = SceneChange(tuple(map(object_from_msg, request.put)), tuple(remove))
-        return wanted.between(scene, request.before, request.after), str(wanted)
+        return wanted.apply_checked(scene, request.before, request.after), str(wanted)
 
     def present_hash(self, _request) -> dict[str, object]:
         """Return the field of every answer about the scene: the present one's hash."""
