@@ -118,7 +118,7 @@ def load_site(folder: Path) -> dict:
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
         if unknown := {*document} - {field.name for field in dataclasses.fields(Site)}:
-            raise ValueError(f"it holds {sorted(unknown)}, which no site has")
+            raise ConstructionTwinError(f"{path} holds {', '.join(sorted(unknown))}, which no site has: take it out")
         return {key: tuple(value) if isinstance(value, list) else value for key, value in document.items()}
     except (OSError, ValueError, TypeError, AttributeError) as error:
         raise ConstructionTwinError(f"{path} cannot be read: {error}; restore it") from error
@@ -145,8 +145,8 @@ def make_site(folder: Path, site: Site) -> list[str]:
         rights = {"robots": {robot: site.rights(robot) for robot in site.robots}}
         write_private(folder / "console/rights.json", json.dumps(rights, indent=1) + "\n")
     lines += _make_accounts(folder, site)
-    for account in (folder / "accounts").iterdir():
-        write_private(account / "ca.crt", ca.with_suffix(".crt").read_bytes())
+    for account in (folder / "accounts").glob("*/account.json"):
+        write_private(account.with_name("ca.crt"), ca.with_suffix(".crt").read_bytes())
     write_private(folder / "broker/access.acl", rules)
     write_private(folder / "broker/mosquitto.conf", configuration)
     write_private(folder / "site.json", json.dumps(dataclasses.asdict(site), indent=1) + "\n")

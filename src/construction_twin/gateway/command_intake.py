@@ -15,6 +15,8 @@ from construction_twin.mqtt.messages import CommandProperties
 
 #: The grid of unstamped commands moves by one part in so many of its distance to each arrival: it follows drift within minutes.
 ARRIVAL_SMOOTHING = 16_384
+#: The same once it has rested for so many commands (1 s): nothing depends on the grid then, and a sender of 4.1 ms stays in reach.
+REST_SMOOTHING, RESTING = 128, 250
 #: Sequence numbers behind the newest of which it is remembered whether they were taken.
 REMEMBERED = 64
 #: Sequence numbers that one command may be ahead of the last one taken: more than are sent while a stream survives.
@@ -26,8 +28,7 @@ class CommandStream:
     """The commands of one session."""
 
     def __init__(self, config: GatewayConfig, codec: JointStringCodec):
-        self._config = config
-        self._codec = codec
+        self._config, self._codec = config, codec
         # a sender that has been silent for longer has been given up
         self._longest_wait = round((config.playout_delay_max + config.silence) * NANOSECONDS)
         self._travel_time = TravelTime()
@@ -38,10 +39,11 @@ class CommandStream:
         self.session = session
         #: Stamp of the last command that was taken [ns].
         self.last_stamp = 0
-        self._sequence = 0
-        # bit k: the number k below the newest was taken
-        self._received = 0
+        # the newest number; bit k: the number k below it was taken
+        self._sequence = self._received = 0
         self._travel_time.restart()
+        # the last pose without a stamp, and how often it has come again
+        self._rest: tuple[tuple[float, ...], int] = (), 0
 
     def read(
         self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int
@@ -50,7 +52,8 @@ class CommandStream:
         if isinstance(properties, PayloadError):
             raise properties
         if not self._config.properties:
-            return self._arrival_stamp(now), self._codec.decode(payload), 0
+            q = self._codec.decode(payload)
+            return self._arrival_stamp(now, q), q, 0
         if properties is None:
             raise PayloadError("properties", "command without session, seq and stamp")
         if properties.session != self.session:
@@ -73,15 +76,16 @@ class CommandStream:
         self._received = 1 if step >= REMEMBERED else (self._received << step | 1) & _ALL
         return properties.stamp, q, step - 1
 
-    def _arrival_stamp(self, now: int) -> int:
+    def _arrival_stamp(self, now: int, q: tuple[float, ...]) -> int:
         """Return a stamp for a command without one: the sender's 4 ms grid, begun anew after a gap in which it was given up.
 
-        A lost command leaves the grid a cycle late for some minutes. In motion the step is what it looks like, one over two cycles
-        in the time of one, and the motion check refuses it.
+        A lost command leaves the grid a cycle late until the stream rests. In motion the step is what it looks like, one over two
+        cycles in the time of one, and the motion check refuses it.
         """
+        self._rest = q, self._rest[1] + 1 if q == self._rest[0] else 0
         expected = self.last_stamp + CYCLE_NS
-        distance = now - expected
-        return now if abs(distance) > self._longest_wait else expected + distance // ARRIVAL_SMOOTHING
+        distance, smoothing = now - expected, ARRIVAL_SMOOTHING if self._rest[1] < RESTING else REST_SMOOTHING
+        return now if abs(distance) > self._longest_wait else expected + distance // smoothing
 
 
 class StreamBroken(Exception):
@@ -96,9 +100,7 @@ class CommandIntake:
     """Checks commands and pushes them to the player. `waited` is the time since the last telegram [ns]."""
 
     def __init__(self, config: GatewayConfig, codec: JointStringCodec, player: Player):
-        self._config = config
-        self._limits = config.limits
-        self._player = player
+        self._config, self._limits, self._player = config, config.limits, player
         self.stream = CommandStream(config, codec)
         self._longest_gap = round(config.silence * NANOSECONDS)
         self._check = MotionCheck(self._limits, config.decimals)

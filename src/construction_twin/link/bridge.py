@@ -77,19 +77,22 @@ class StateCheck:
         Raises:
             PayloadError: ``sequence``; ``stale``; ``early``: so much quicker than all others that a single one is not believed.
         """
-        last, jump, follows = self._last, seq - self._last, seq == self._before + 1
-        self._before, excess, misfit = seq, self._travel.excess(stamp, received), None
-        if last and not 0 < jump <= MAX_JUMP:
+        last, jump, excess, misfit = self._last, seq - self._last, self._travel.excess(stamp, received), None
+        in_order = not last or 0 < jump <= MAX_JUMP
+        if not in_order:
             misfit = PayloadError("sequence", f"seq {seq} after {last}")
         elif excess < -self._limit:
             misfit = PayloadError("early", f"state travelled {-excess / NANOSECONDS:.3f} s less than the quickest one")
-        self._misfits = self._misfits + 1 if misfit and follows else int(misfit is not None)
+        again = misfit and (in_order or seq == self._before + 1)
+        self._misfits, self._before = self._misfits + 1 if again else int(misfit is not None), seq
+        if in_order:
+            self._last, self.lost = seq, self.lost + (jump - 1 if last else 0)
         if misfit and self._misfits <= CONFIRMATIONS:
             raise misfit
         if jump <= 0:
             self._travel.restart()
-        elif last:
-            self.lost += jump - 1 - (CONFIRMATIONS if misfit else 0)
+        elif not in_order:
+            self.lost += jump - 1 - CONFIRMATIONS
         self._last, self._misfits = seq, 0
         if (excess := self._travel.record(stamp, received)) > self._limit:
             raise PayloadError("stale", f"state is {excess / NANOSECONDS:.3f} s older than the freshest one")

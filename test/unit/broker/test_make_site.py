@@ -89,6 +89,7 @@ def test_no_secret_is_on_a_command_line_or_printed(tmp_path, monkeypatch, capsys
 
 
 def test_a_second_run_changes_no_secret_and_signs_the_servers_certificates_anew(folder):
+    (folder / "accounts/ada.zip").touch()
     before, signed = contents(folder), (folder / "broker/server.crt").read_bytes()
     make(folder)
     assert contents(folder) == before and (folder / "broker/server.crt").read_bytes() != signed
@@ -317,9 +318,13 @@ def test_a_ca_whose_key_is_gone_is_not_mended_by_making_another(folder, capsys):
 
 
 def test_settings_that_cannot_be_read_stop_the_run(folder, capsys):
-    for text in ("{", "[]", '{"reviewers": ["ada"]}'):
+    for text, said in (
+        ("{", "cannot be read"),
+        ("[]", "cannot be read"),
+        ('{"certificates": false}', "holds certificates"),
+    ):
         (folder / "site.json").write_text(text)
-        assert main([str(folder)]) == 1 and "site.json cannot be read" in capsys.readouterr().out
+        assert main([str(folder)]) == 1 and f"site.json {said}" in capsys.readouterr().out
 
 
 # -- the account file

@@ -19,7 +19,7 @@ from gateway_cell import (
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from construction_twin.core.units import CYCLE, CYCLE_NS, format_allowance
+from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS, format_allowance
 from construction_twin.gateway.gateway import State
 from construction_twin.mqtt.messages import Intervention
 
@@ -41,6 +41,22 @@ def test_without_properties_the_stream_is_played_on_its_arrival_grid():
     assert moved == pytest.approx(poses[1000 - DELAY_CYCLES][0], abs=1e-3)
     assert (cell.state, cell.count("settling")) == (State.FOLLOWING, 0)
     assert cell.gateway.state_message(cell.now)[1].command_stamp == 0
+
+
+@pytest.mark.parametrize("period", [3_900_000, 4_100_000])
+def test_without_properties_a_sender_of_another_clock_holds_an_idle_arm(period):
+    cell = Cell(properties=False)
+    cell.cycle(3)
+    cell.arm()
+    answered = cell.now
+    for due in range(answered + period, answered + 60 * NANOSECONDS, period):
+        while answered + CYCLE_NS < due:
+            cell.now = answered
+            cell.cycle()
+            answered = cell.now
+        cell.now = due
+        cell.send(START)
+    assert (cell.state, cell.measured) == (State.FOLLOWING, START)
 
 
 # -- anything at all -------------------------------------------------------------------------------------------------

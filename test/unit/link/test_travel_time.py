@@ -135,11 +135,16 @@ class TestFreshness:
         check = self.check()
         assert reason(check.accept, 10**18, OFFSET + CYCLE_NS) == "early"
         assert reason(check.accept, CYCLE_NS, OFFSET + CYCLE_NS + 1_000_000) == ""
+        assert check.check.lost == 0
 
-    def test_a_beginning_with_old_states_is_overcome(self):
-        check = self.check(5 * LIMIT_NS)
-        found = [reason(check.accept, k * CYCLE_NS, OFFSET + k * CYCLE_NS) for k in range(1, 10)]
+    @pytest.mark.parametrize("lost_between", [0, 1])
+    def test_a_beginning_with_old_states_is_overcome_and_none_of_those_refused_counts_as_lost(self, lost_between):
+        check, found = self.check(5 * LIMIT_NS), []
+        for _ in range(9):
+            check.seq += lost_between
+            found.append(reason(check.accept, check.seq * CYCLE_NS, OFFSET + check.seq * CYCLE_NS))
         assert found == ["early"] * CONFIRMATIONS + [""] * (9 - CONFIRMATIONS)
+        assert check.check.lost == 9 * lost_between
 
 
 class TestBoth:
