@@ -240,10 +240,6 @@ def test_a_file_is_read_and_a_missing_one_is_named(tmp_path):
     rows = "\n".join(",".join(repr(float(value)) for value in q) for q in (RIGHT, HOME))
     path.write_text(",".join(f"{name}_rad" for name in ROBOT.joint_names) + "\n" + rows + "\n")
     np.testing.assert_array_equal(read_waypoints(str(path), ROBOT).positions, [RIGHT, HOME])
-    path.write_text("".join(",".join(f"{value:.15g}" for value in q) + "\n" for q in (RIGHT, HOME)))
-    np.testing.assert_allclose(read_waypoints(str(path), ROBOT, "joints_rad").positions, [RIGHT, HOME], atol=1e-14)
-    with pytest.raises(WaypointsError, match="a file of numbers alone needs its columns"):
-        read_waypoints(str(path), ROBOT)
     with pytest.raises(PlanningError, match="absent.csv cannot be read"):
         read_waypoints(str(tmp_path / "absent.csv"), ROBOT)
     with pytest.raises(PlanningError, match=r"the file is 'path\.csv'; expected an absolute path"):
