@@ -100,7 +100,7 @@ class WorkTest(RobotTest):
         holds = dict(zip(self.tool.inputs, self.tool.input_values))["vacuum_reached"]
         let_go = [entry["event"] for entry in self.entries() if entry.get("task") == row.id][-2:-1] == ["releasing"]
         answer = "in_grip" if holds else "placed" if let_go else "in_stock"
-        taken = self.decide(row.id, "answer", answer, "tester", "seen", "")
+        taken = self.decide(task=row.id, decision="answer", answer=answer, person="tester", reason="seen")
         self.assertTrue(taken.success, taken.message)
         self.wait_for_state(number, "ready", "carried", "done")
 
@@ -155,8 +155,8 @@ class WorkTest(RobotTest):
         answer = self.plan_task(stud.id)
         self.assertFalse(answer.success)
         self.assertIn(plate.name, answer.message)
-        self.assertEqual(self.decide(stud.id, "answer", "in_grip", "tester", "", "").success, False)
-        self.assertIn("who says so", self.decide(stud.id, "skip", "", " ", "", "").message)
+        self.assertEqual(self.decide(task=stud.id, decision="answer", answer="in_grip", person="tester").success, False)
+        self.assertIn("who says so", self.decide(task=stud.id, decision="skip", person=" ").message)
 
     def stalled_while_it_carries(self, number: int):
         answer = self.carrying(number)

@@ -249,7 +249,7 @@ class TwinClient:
 
     def approve(self, plan: Plan | PlanToJointsResponse) -> None:
         """Approve a plan, or that of a planner's answer."""
-        named = (plan.id, plan.hash) if isinstance(plan, Plan) else (plan.plan_id, plan.plan_hash)
+        named = (plan.plan_id, plan.plan_hash) if hasattr(plan, "plan_id") else (plan.id, plan.hash)
         answer = self.review(*named)
         assert answer.success, answer.message
 
