@@ -16,7 +16,7 @@ MODULES = {DEFAULT: "construction_twin.rsi.make"}
 
 @cache
 def make_of(name: str) -> Make:
-    """Return a make by its name; ConfigurationError for one that is not known."""
+    """Return a make by its name; ConfigurationError for an unknown one."""
     if name not in MODULES:
         raise ConfigurationError("make", name, f"one of {', '.join(MODULES)}")
     return import_module(MODULES[name]).MAKE

@@ -113,7 +113,7 @@ class ControllerStatus(Protocol):
         """Why the arm is stopped or limited; "": unknown."""
 
     def status_fields(self) -> dict[str, str | float]:
-        """Return its fields of `status`; {}: nothing is known."""
+        """Return its fields of `status`; {}: unknown."""
 
 
 @dataclass(frozen=True)

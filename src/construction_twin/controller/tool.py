@@ -37,7 +37,7 @@ class GatewayTool:
 
     @classmethod
     def of_document(cls, document: dict) -> GatewayTool:
-        """Return the tool of a configuration file; TypeError or KeyError when it is none."""
+        """Return the tool of a configuration file; TypeError or KeyError for an invalid one."""
         outputs = tuple(ToolOutput(**output) for output in document["outputs"])
         return cls(**document | {"outputs": outputs, "inputs": tuple(document["inputs"])})
 

@@ -76,7 +76,7 @@ def command_message(error: Exception) -> str:
 
 
 class ReviewError(ConstructionTwinError):
-    """A verdict cannot be applied: wrong plan, wrong hash, no reviewer, or not the moment."""
+    """A verdict is refused: wrong plan, wrong hash, no reviewer, or the wrong moment."""
 
 
 class ExpiredError(ReviewError):
@@ -97,11 +97,11 @@ class RecordError(ReviewError):
 
 
 class ExecutionError(ConstructionTwinError):
-    """An execution cannot be paused or resumed at this moment."""
+    """A pause or a resume is refused in the executor's present state."""
 
 
 class MotionRefused(ConstructionTwinError):
-    """A setpoint fails the motion check and must not be executed; `joint` "": as a whole; value, limit in SI, nan: none.
+    """A setpoint fails the motion check; `joint` "": as a whole; value, limit in SI, nan: none.
 
     `reason` is a counter: ``range``, ``velocity``, ``acceleration``, ``braking_room``, ``start``, ``order``, ``lead``, ``values``.
     """

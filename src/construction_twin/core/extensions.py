@@ -1,4 +1,4 @@
-"""The ports of the core to its extensions, each of which may be absent, or lack the packages of its set-up group."""
+"""The ports of the core to its extensions, each of which may be absent, or lack its packages."""
 
 from __future__ import annotations
 

@@ -81,5 +81,5 @@ def _origin() -> str:
 
 
 def present_moment() -> Moment:
-    """Return the present moment. The clock counts from the computer's start, also while it sleeps, and cannot be set."""
+    """Return the present moment, by a clock that runs from the computer's start, also while it sleeps."""
     return Moment(_origin(), time.clock_gettime_ns(time.CLOCK_BOOTTIME))

@@ -79,7 +79,7 @@ def distance_off(
 
 
 def braking_distance(step: float, deceleration: float) -> float:
-    """Return how far braking goes on after a step, which changes by the deceleration, > 0, in each cycle [rad].
+    """Return the distance of braking after a step that changes by the deceleration, > 0, in each cycle [rad].
 
     Exact: the textbook's v^2 / 2a is half a step longer and would refuse to end at the end of a range at full deceleration.
     """

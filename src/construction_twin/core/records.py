@@ -20,7 +20,7 @@ _ZERO = "zero"
 
 
 class SchemaKeywords(dict):
-    """What a JSON Schema says of a value besides its type, in `Annotated`: pydantic reads it where schemas are made."""
+    """Keywords of a value in a JSON Schema besides its type, for `Annotated`: pydantic reads them where schemas are made."""
 
     def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> dict[str, Any]:
         return handler(core_schema) | self

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
-#: Failures that wait to be told; of more the oldest are dropped. All of them are counted.
+#: Failures that wait for the log; of more the oldest are dropped. All of them are counted.
 MAX_UNWRITTEN = 20
 #: What is quoted of an exception [characters].
 _LONGEST = 300
@@ -84,7 +84,7 @@ class SideEffects:
             self.run("the log", log, "%s", f"{failure.sentence}\n{failure.trace}")
         if failures:
             with self._lock:
-                # otherwise a log that fails would be told of in the log, again and again
+                # otherwise a log that fails would be logged again and again
                 self._unwritten = deque(
                     (each for each in self._unwritten if each.what != "the log"), maxlen=MAX_UNWRITTEN
                 )

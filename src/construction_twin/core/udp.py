@@ -44,7 +44,7 @@ def enable_timestamps(sock: socket.socket) -> bool:
 
 
 def address_of(host: str, option: str) -> str:
-    """Return the one IPv4 address of a host, which is what a datagram's source is compared with."""
+    """Return the one IPv4 address of a host, to be compared with a datagram's source."""
     try:
         found = {str(entry[4][0]) for entry in socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_DGRAM)}
     except (OSError, ValueError) as error:

@@ -18,7 +18,7 @@ from construction_twin.core.errors import ConstructionTwinError
 
 #: Added to the process's nice value.
 NICE = 10
-#: What a function, its answer, or the reading of it can raise and nobody foresaw; what is none of these ends the process.
+#: Unforeseen errors of a function, its answer, or the reading of it; others end the process.
 UNFORESEEN = (
     ArithmeticError, AssertionError, AttributeError, EOFError, ImportError, LookupError, MemoryError, OSError, RuntimeError,
     TypeError, ValueError, pickle.PickleError,
@@ -131,7 +131,7 @@ def _answered(question: bytes, functions: Mapping[str, Callable]) -> bytes:
     except ConstructionTwinError as error:
         failure = type(error).__name__, str(error)
     except UNFORESEEN as error:
-        # what nobody foresaw must be an answer, too; the trace goes to the node's log
+        # an unforeseen error must be an answer, too; the trace goes to the node's log
         traceback.print_exc()
         failure = _unforeseen(error)
     return pickle.dumps({"failure": failure})

@@ -257,7 +257,7 @@ class Approval:
             return self._executor.resume(left)
 
     def release(self, person: str, reason: str) -> str:
-        """End an engagement in the name of a person who has freed the arm, after it was recorded; return one sentence."""
+        """Record and end an engagement in the name of a person who has freed the arm; return one sentence."""
         if not person or not reason:
             raise ExecutionError(Sentence("a release needs the name of a person, and how the arm was freed"))
         with self._lock:
@@ -348,7 +348,7 @@ class Approval:
         return "" if self._executor.engagement.is_way_back(plan) else self.rehearsal.obstacle(plan)
 
     def _releasable(self) -> Engagement:
-        """Return the engagement that could be ended now, by a person who has freed the arm."""
+        """Return the engagement that can be ended now."""
         active, plan = self._executor.engagement.active, self._executor.plan
         if active is None:
             raise ExecutionError(Sentence("the arm is not engaged; there is nothing to release"))

@@ -194,7 +194,7 @@ class Executor(ExecutorMachine):
         self._on(ExecutorEvent.NEW_SESSION, reason)
 
     def stall(self, reason: str) -> None:
-        """Drop a moving plan because setpoints could not be produced in time; the arm is left to the gateway's braking."""
+        """Drop a moving plan after a gap in the setpoints; the gateway brakes the arm."""
         if not self.limit.standing:
             self._on(ExecutorEvent.STALLED, reason)
 

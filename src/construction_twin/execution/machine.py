@@ -172,7 +172,7 @@ class ExecutorMachine:
         sentence = self.side_effects.run("the executor's sentence", self._sentence, row, reason) or reason
         if row.action in OUTCOMES:
             sentence = self._end(row.action, sentence)
-        # a restart is told although the state stays
+        # a restart is reported although the state stays
         if row.target is not row.state or row.action is Action.FORGET_TWIN:
             self.cause, self._closed, self.limit.standing = sentence, "", False
         self.state = row.target or row.state

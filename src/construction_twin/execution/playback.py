@@ -121,7 +121,7 @@ class Progress:
 
     @property
     def finished(self) -> bool:
-        """True when the end of the trajectory is reached, or the time before it that may not be passed."""
+        """True at the end of the trajectory, or at the time that bounds it."""
         return self.elapsed >= self._bound
 
     @property
@@ -131,7 +131,7 @@ class Progress:
 
     @property
     def steady(self) -> bool:
-        """True when the rate is what was asked for last."""
+        """True at the requested rate."""
         return not self._ramp and self._now.rate == self._goal
 
     def rest_at(self, elapsed: float) -> None:
@@ -266,7 +266,7 @@ class Progress:
 
 #: A plan may start this far from the present pose [rad], and has moved when it is further from its start; rounding, not motion.
 START_TOLERANCE = 1e-6
-#: Newest setpoints of which one may be the last that passed a gate: 1 s. The monitor is heard within 0.5 s, or it counts as silent.
+#: Newest setpoints of which one may be the last that passed a gate: 1 s. A monitor without a message for 0.5 s counts as silent.
 RECENT = 250
 
 

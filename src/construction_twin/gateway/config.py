@@ -158,7 +158,7 @@ class GatewayConfig:
 
 
 def parse_config(text: str, where: str) -> GatewayConfig:
-    """Parse a configuration file's text; ConfigurationError if it is none, or was edited by hand (its hash no longer fits)."""
+    """Parse a configuration file's text; ConfigurationError where it is invalid, or was edited by hand (wrong hash)."""
     try:
         document = json.loads(text)
         if document["format"] != FORMAT:

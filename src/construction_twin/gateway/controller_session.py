@@ -155,7 +155,7 @@ class ControllerSession:
 
     def _begin(self, telegram: Telegram) -> None:
         self.alive = True
-        # what was measured in the session before says nothing about this one
+        # a pose of the session before is void
         self.origin = self.measured = ()
         self._refused = False
         # what was missed before the first telegram belongs to the session's start, before anybody could answer
@@ -219,7 +219,7 @@ class ControllerSession:
         return distance and self._rules.drift_sentence(distance)
 
     def distance_off(self, q: tuple[float, ...], reference: tuple[float, ...], tolerances: float = 1.0) -> str:
-        """Return how far the first axis is off that is further than so many start tolerances, for people; "" when none is."""
+        """Return in words the distance of the first axis beyond so many start tolerances; "" for none."""
         return distance_off(q, reference, self._limits, [tolerances * allowed for allowed in self._tolerances])
 
     def renew_origin(self) -> None:

@@ -255,7 +255,7 @@ class Playout:
 
     @property
     def _is_at_rest(self) -> bool:
-        """True when all that is held, and what came before it, is one pose."""
+        """True when all commands held, and the one before them, are one pose."""
         return self._resting > len(self._commands)
 
     def _choose_delay(self, now: int) -> None:

@@ -91,7 +91,7 @@ class PlayoutRate:
 
     @property
     def steady(self) -> bool:
-        """Whether playout time runs as the controller's: nothing is to be moved, and there is no speed limit."""
+        """Whether playout time runs at the controller's rate: no move and no speed limit."""
         return not (self.remaining or self.shift or self._limits)
 
     def record_target(self, target: Pose) -> None:

@@ -22,7 +22,7 @@ _AGAIN = 0.5
 
 
 class StopFile:
-    """Saves why the arm was stopped, until `close`; `found` is what the program before this one left, "" for nothing."""
+    """Saves why the arm was stopped, until `close`; `found` is the text of the program before this one, "" for none."""
 
     def __init__(self, path: str | Path):
         self._path = Path(path)

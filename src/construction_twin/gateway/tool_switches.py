@@ -16,7 +16,7 @@ from construction_twin.core.reports import SwitchState
 from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.core.units import NANOSECONDS
 
-#: A switch further ahead of the playout than this is refused [s]: it would be one for a motion that nobody sees yet.
+#: Largest lead of a switch over the playout [s]: a later one belongs to a motion that is not there yet.
 MOST_AHEAD = 2.0
 #: Switches in the status.
 MOST_REPORTED = 16
@@ -139,7 +139,7 @@ class ToolSwitches:
                 self.void(self.difference)
 
     def _drop(self) -> None:
-        """Command off what the controller has switched off at a missed reply: a reply that arrives must not be an edge."""
+        """Command off the outputs that the controller switched off at a missed reply, against a later edge."""
         pairs = zip(self._names, self._commanded)
         dropped = [name for name, value in pairs if value and name in self._off]
         if dropped:

@@ -262,7 +262,7 @@ class _Search:
             raise UnreachableError(distance - chain.reach)
 
     def _explain(self) -> NoReturn:
-        """Raise the error that says that nothing was found, and what the search saw besides. It can prove nothing."""
+        """Raise the error that nothing was found, with what the search saw besides."""
         raise NotFoundError(self._tried, self._settings.budget_s, *self._residual, self._hint())
 
     def _hint(self) -> str:

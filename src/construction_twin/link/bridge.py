@@ -219,7 +219,7 @@ class Bridge:
         supervisor = self.supervisor
         control = supervisor.poll(now)
         self._record_stops(present)
-        # the first sentence stays until nobody is waited for: figures may waver in those that follow
+        # the first sentence stays while a person is waited for: figures may waver in those that follow
         waits = supervisor.waits_for
         self.waits_for = waits and (self.waits_for or waits)
         return control or self._limit_due(now)
@@ -246,7 +246,7 @@ class Bridge:
         return self.supervisor.state is LinkState.ARMED and self.supervisor.sends_control
 
     def on_status(self, status: GatewayStatus, now: int) -> None:
-        """Store the gateway's status, or a bare PLC's word; PayloadError where it does not count."""
+        """Store the gateway's status, or a bare PLC's word; PayloadError where it is ignored."""
         if problem := self.supervisor.inputs.on_status(status, now):
             raise PayloadError("status", problem)
         self._tool.on_status(status)
@@ -353,7 +353,7 @@ class Bridge:
         supervisor = self.supervisor
         if supervisor.state is LinkState.DISCONNECTED and connection:
             return Sentence("{state}: {reason}", state=supervisor.reason, reason=connection)
-        # a status of a gateway that is gone says nothing of now
+        # the status of a gateway that is gone is out of date
         if supervisor.state in (LinkState.DISCONNECTED, LinkState.GATEWAY_OFFLINE):
             return supervisor.reason
         return join_sentences(supervisor.reason, supervisor.inputs.status.controller_sentence)

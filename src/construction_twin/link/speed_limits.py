@@ -144,7 +144,7 @@ class SpeedLimits:
             "{person} has limited the speed to {percent:.0f}%", percent=100 * people.limit, person=people.person
         )
         if by != "people":
-            # nobody was heard, and one is required: what the executor does of itself holds beside a person's limit, too
+            # a required source is silent: what the executor does then holds beside a person's limit, too
             asks = program.state is not LimitState.UNLIMITED
             reason = program.reason if asks else Sentence("nobody limits the speed")
         elif self.fault:

@@ -175,7 +175,7 @@ class LinkSupervisor:
         self._enter(LinkState.NEEDS_RESET, reason)
 
     def begin_mirror(self, now: int) -> str:
-        """Let the arm lead, for a person: nothing is commanded until `end_mirror`. Return a sentence, or raise ReviewError."""
+        """Let the arm lead until `end_mirror`, for a person. Return a sentence, or raise ReviewError."""
         if not self.mirrors:
             if why := self._session_obstacle(now, mirrors=True):
                 raise ReviewError(Sentence("cannot mirror: {why}", why=why))

@@ -25,7 +25,7 @@ from construction_twin.robot.motion_errors import JointRangeError
 
 #: The servo is given this long to arrive at the end of a program, and refused replies are over after this long without one [s].
 _SETTLING, _RECOVERY = 1.0, 1.0
-#: A reply is told to be late when its packet left no longer ago than this [ms].
+#: A reply is reported as late when its packet left no longer ago than this [ms].
 _LONGEST_STEP = STAMP_WRAP // 2 - 1
 #: Slack of the soft limits [rad]: start + (limit - start) need not round to the limit.
 _RANGE_SLACK = 1e-9

@@ -43,7 +43,7 @@ log = logging.getLogger(__name__)
 
 #: Packets that are late by no more than this are all sent [ns].
 CATCH_UP = NANOSECONDS // 10
-#: After a session that nobody has answered another one is tried this soon [ns]: who starts the controller waits for the gateway.
+#: Pause after an unanswered session [ns]: who starts the controller waits for the gateway.
 _UNANSWERED = NANOSECONDS // 10
 
 Result = TypeVar("Result")

@@ -102,7 +102,7 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
 
 
 def _gripper(settings: MockSettings) -> Gripper:
-    """Return what the tool of a tool file does; ConfigurationError when it is none."""
+    """Return the gripper of a tool file; ConfigurationError for an invalid one."""
     if not settings.tool:
         return Gripper(time=TOOL_TIME)
     tool = tool_of(settings.tool, "tool")

@@ -164,7 +164,7 @@ class RealisticServo(Servo):
 
 
 def read_encoder(position: float, resolution: float) -> float:
-    """Return what an encoder with this step [rad] says of a position [rad]; step 0: an exact reading."""
+    """Return the reading of a position [rad] by an encoder with this step [rad]; step 0: exact."""
     return round(position / resolution) * resolution if resolution else position
 
 

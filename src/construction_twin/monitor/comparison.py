@@ -13,7 +13,7 @@ from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 MEMORY = 250
 #: Samples in motion after which it counts as known: 0.2 s.
 ENOUGH = 50
-#: Slower than this no lag can be told from rounding: 3 decimals of a degree, 0.4 ms [rad/s].
+#: Below this speed a lag is lost in rounding: 3 decimals of a degree, 0.4 ms [rad/s].
 SLOWEST = 0.02
 
 

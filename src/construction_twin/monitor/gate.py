@@ -71,7 +71,7 @@ class Gate:
         compares: bool = True,
     ):
         self._limits, self._compares = limits, compares
-        #: Compares the arm with where its servos should have it; None: nobody knows these.
+        #: Compares the arm with the model of its servos; None: there is no model.
         self.servo_watch = (
             ServoWatch(servos, settings.comparison_settings(limits).threshold) if servos is not None else None
         )
@@ -81,7 +81,7 @@ class Gate:
         self.refused = 0
         #: Whether the arm leads: then nothing opens the gate.
         self.mirrored = False
-        #: Changes of state that nobody has taken yet, oldest first.
+        #: Queued changes of state, oldest first.
         self.transitions: list[Transition] = []
         self.state, self._entered_for = SyncState.WAITING, ""
         self._forget()
@@ -206,7 +206,7 @@ class Gate:
         self.fire(SyncEvent.NEW_SESSION, reason, now)
 
     def set_mirrored(self, leads: bool, now: int) -> None:
-        """Set whether the arm leads: then nothing is sent, and what has been STOPPED stays so. A new session follows."""
+        """Set whether the arm leads and nothing is sent; STOPPED stays. A new session follows."""
         if leads and not self.mirrored:
             self.fire(SyncEvent.MIRROR, Sentence("the arm leads: nothing is commanded"), now)
         self.mirrored = leads
@@ -303,7 +303,7 @@ class Gate:
     # -- the path
 
     def pass_next(self, stamp: int, theta_next: tuple[float, ...], now: int) -> tuple[float, ...] | None:
-        """Return what is executed in place of theta_next, shape (n,) [rad], rounded to the wire, for a nominal stamp [ns].
+        """Return the command for theta_next, shape (n,) [rad], rounded to the wire, by its nominal stamp [ns].
 
         None while the gate has never been open, while the arm leads, and for a setpoint that is not newer than the last one.
         """

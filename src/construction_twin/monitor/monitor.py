@@ -165,7 +165,7 @@ class Monitor:
             failed = Sentence("re-plan failed: {problem}", problem=problem)
             self.gate.fire(SyncEvent.REPLAN_FAILED, failed, now)
 
-    # -- what is told
+    # -- reports
 
     def pop_sync_report(self, now: int) -> SyncReport | None:
         """Return the gate's report when it is due: at once in another state, else at `SYNC_RATE`, at rest less often."""

@@ -105,7 +105,7 @@ class _Slope:
 
     @property
     def value(self) -> float:
-        """The slope; 0 where x tells nothing that mean and time do not."""
+        """The slope; 0 where x depends on mean and time alone."""
         (n, t, x, tt, tx, xx), (y, ty, xy) = self._squares, self._with_y
         times = tt - t * t / n
         along = (tx - t * x / n) / times if times else 0.0

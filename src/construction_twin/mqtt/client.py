@@ -55,7 +55,7 @@ class Account:
             raise ConfigurationError(f"{self.name}: {missing}", "", "a value: user and password_file belong together")
 
     def password(self) -> str:
-        """Return the password; ConfigurationError when it cannot be read, or others can read it too."""
+        """Read the password; ConfigurationError for a file that is unreadable, or readable by others."""
         _refuse_shared(self.password_file)
         lines = _read(self.password_file).splitlines()
         if not lines or not lines[0]:

@@ -31,7 +31,7 @@ class MotionValidator:
         self._states_per_unit = levers / step
 
     def coarser(self, times: float) -> MotionValidator:
-        """Return a check of motions in the same world whose step is so many times as long."""
+        """Return a validator of the same world with a step that is a multiple of this one's."""
         return MotionValidator(self.world, self._levers, times * self._step)
 
     def free(self, start: np.ndarray, end: np.ndarray) -> bool:

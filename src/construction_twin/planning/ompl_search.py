@@ -56,7 +56,7 @@ class PathQuery:
 
 
 def shortened(path: np.ndarray, is_free: Callable[[np.ndarray, np.ndarray], bool]) -> np.ndarray:
-    """Return a path with the same ends that is no longer, by the shortcuts that gain most first, until nothing is gained.
+    """Shorten a path between the same ends by the best shortcuts first, until nothing is gained.
 
     Nothing is drawn by chance. Every edge is a part of a given one, which are free, or was found free by `is_free`.
     """

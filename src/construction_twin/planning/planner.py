@@ -144,7 +144,7 @@ class Planner:
     def plan_to_joints(
         self, start: JointValues, goal: JointValues, request: PlanRequest, world: CollisionWorld
     ) -> Plan:
-        """Plan a motion between two joint vectors, length n [rad] or [m]; PlanningError says why there is none."""
+        """Plan a motion between two joint vectors, length n [rad] or [m], or raise PlanningError."""
         began = self._clock()
         begin, end = self._joint_vector("start", start), self._joint_vector("goal", goal)
         self._check_request(request)
@@ -155,7 +155,7 @@ class Planner:
     def plan_to_pose(
         self, start: JointValues, pose: Pose, request: PlanRequest, world: CollisionWorld, configuration: str = ""
     ) -> Plan:
-        """Plan a motion that brings the robot's tip to a pose in its base frame; KinematicsError where it cannot be reached.
+        """Plan a motion that brings the robot's tip to a pose in its base frame, or raise KinematicsError.
 
         Straight motions to all joint solutions, of a `configuration` (`Configuration.parse`), are tried first; a search is given
         the nearest ones that are free.

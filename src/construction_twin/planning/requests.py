@@ -13,7 +13,7 @@ from construction_twin.planning.planner import PlanRequest
 from construction_twin.robot.plan import Plan
 from construction_twin.scene.scene_change import SceneChange
 
-#: A verdict that was given before a request, or the word that a stop voided a plan, is heard this long after its planning [s].
+#: How long after its planning a verdict from before the request, or a stop, may still arrive [s].
 VERDICT_TIME = 0.1
 
 

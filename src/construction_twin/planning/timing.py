@@ -129,7 +129,7 @@ def timed_path(
 
 
 def time_path(path: np.ndarray, robot: RobotModel, **asked: Any) -> Trajectory:
-    """Return the trajectory of `timed_path`, which says what is asked."""
+    """Return the trajectory of `timed_path`; arguments as there."""
     return timed_path(path, robot, **asked).trajectory
 
 

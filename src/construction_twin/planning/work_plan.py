@@ -31,7 +31,7 @@ from construction_twin.scene.scene_change import SceneChange
 
 
 class SegmentError(PlanningError):
-    """A segment of a work plan cannot be used, and so neither can the plan."""
+    """A segment makes a work plan invalid."""
 
     def __init__(self, number: int, name: str, cause: ConstructionTwinError):
         self.number, self.name, self.cause = number, name, cause

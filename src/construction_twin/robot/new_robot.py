@@ -16,7 +16,7 @@ from construction_twin.robot.urdf import chain_joints, expand_xacro, parse_urdf,
 
 #: What is an estimate in every file that is written here; `RANGES` as well, where the URDF has a joint without a range.
 ESTIMATED = ("accelerations", "jerks", "axes", "couplings")
-#: What is one until `with_home` has put in a pose that somebody looked at.
+#: An estimate until `with_home` has put in a reviewed pose.
 HOME = "home"
 RANGES = "ranges"
 #: Range of a joint that the URDF lets turn without end [deg]: a turn to each side, which most such joints allow.
@@ -118,7 +118,7 @@ def _rounded(value: float) -> float:
 
 
 def with_home(description: Mapping[str, Any], home: Sequence[float]) -> dict[str, Any]:
-    """Return a robot YAML's mapping with a home pose [rad], [m], in the order of its joints, which is no estimate any more."""
+    """Return a robot YAML's mapping with a home pose [rad], [m], in the order of its joints, as no estimate."""
     joints = {}
     for (name, joint), value in zip(description["joints"].items(), home):
         key, per_unit = ("home_mm", 1e3) if "home_mm" in joint else ("home_deg", _DEGREES)

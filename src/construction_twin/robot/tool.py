@@ -146,7 +146,7 @@ def tool_hash(path: str | Path) -> str:
 
 
 def tool_of(description: object, where: str) -> Tool:
-    """Return the tool that the content of a tool file describes; ConfigurationError when it is none, naming `where`."""
+    """Parse the content of a tool file; ConfigurationError names `where` it is invalid."""
     try:
         return Tool.model_validate(description)
     except pydantic.ValidationError as error:

@@ -52,7 +52,7 @@ def split_values(data: bytes) -> tuple[list[bytes], list[bytes], bytes]:
 
 
 def places_of(texts: Sequence[bytes], wanted: Sequence[tuple[str, str]]) -> list[int] | None:
-    """Return which values are the wanted ones, by element and attribute; None where the texts of a shape do not show it."""
+    """Return the places of the wanted values, by element and attribute; None where the texts of a shape hide them."""
     keys, tag = [], ""
     for text in texts[:-2]:
         for found in _TAG.finditer(text):

@@ -73,7 +73,7 @@ def status_channels(send: Sequence[str]) -> tuple[str, ...]:
 
 
 def _name_of(tag: str) -> str:
-    """Return the channel that a TAG stands for; "" when it is none."""
+    """Return the channel of a TAG; "" for none."""
     name, dot, attribute = tag.partition(".")
     return name if name in NAMES and (not dot or attribute == ATTRIBUTE) else ""
 

@@ -26,7 +26,7 @@ is_fixed_in_bytes = re.compile(_FIXED.encode()).fullmatch
 _NUMBER = _FIXED + r"(?:[eE](?:-[0-9]{1,3}|\+?0?[0-9]{1,2}))?"
 is_number = re.compile(_NUMBER).fullmatch
 is_number_in_bytes = re.compile(_NUMBER.encode()).fullmatch
-#: An XML declaration that says nothing that ASCII text could contradict.
+#: An XML declaration that ASCII text cannot contradict.
 _SPACE = r"[ \t\r\n]"
 _DECLARATION = re.compile(
     rf"""<\?xml{_SPACE}+version{_SPACE}*={_SPACE}*(?:"1\.[0-9]"|'1\.[0-9]')"""
@@ -38,7 +38,7 @@ _UINT64_MAX = 2**64 - 1
 
 
 def without_declaration(data: bytes) -> bytes:
-    """Return what stands behind an XML declaration; `data` itself when it does not begin with one."""
+    """Strip a leading XML declaration."""
     declared = _DECLARATION(data) if data.startswith(b"<?") and len(data) <= MAX_TELEGRAM else None
     return data[declared.end() :] if declared else data
 
@@ -63,7 +63,7 @@ def read_document(data: bytes, root_tag: str) -> ElementTree.Element:
 
 
 def find_children(root: ElementTree.Element, wanted: frozenset[str]) -> dict[str, ElementTree.Element]:
-    """Return the wanted elements by name; every other one is ignored, one that is there twice is refused."""
+    """Return the wanted elements by name; ignore others, refuse doubles."""
     found = {}
     for child in root:
         tag = child.tag

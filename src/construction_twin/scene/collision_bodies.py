@@ -33,7 +33,7 @@ _GJK_TOLERANCE = 1e-8
 UNKNOWN = -1e300
 #: By so much a shape is moved to measure what could not be measured [m].
 _ASIDE = (1e-6, 1e-5, 1e-4)
-#: Of a joint of Pinocchio's model whose range nobody asks for [rad] or [m].
+#: Range of a joint of Pinocchio's model where it has no effect [rad] or [m].
 _NO_LIMIT = 1e3
 #: Most meshes of scene objects that are kept for the next scene.
 _MESHES_KEPT = 4096
@@ -232,7 +232,7 @@ def _of_single_joints(robot: RobotModel) -> str:
         limit = joint.find("limit")
         if limit is None:
             limit = ElementTree.SubElement(joint, "limit", effort="0", velocity="0")
-        # Pinocchio must have one; nobody reads it
+        # Pinocchio must have one; it is unused
         limit.attrib.update(lower=str(-_NO_LIMIT), upper=str(_NO_LIMIT))
     return ElementTree.tostring(root, encoding="unicode") if changed else robot.urdf
 

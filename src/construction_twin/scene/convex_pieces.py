@@ -167,7 +167,7 @@ def _largest_within(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray |
 
 
 def _merged(cells: list[np.ndarray]) -> list[np.ndarray]:
-    """Join two bodies whose union is convex, until there are none."""
+    """Join pairs of bodies with a convex union, until there are none."""
     alive = dict(enumerate(cells))
     volumes = {number: float(ConvexHull(cell).volume) for number, cell in alive.items()}
     queue = [(one, other) for one in alive for other in alive if one < other]

@@ -227,7 +227,7 @@ def _rows_within(stretches: Sequence[tuple[float, float]], end: float) -> np.nda
 
 
 def _first_of(chosen: np.ndarray, order: np.ndarray, count: int) -> np.ndarray:
-    """Return at most so many of them, those of the lowest order."""
+    """Return the `count` of lowest order."""
     if len(chosen) <= count:
         return chosen
     return chosen[np.argsort(order, kind="stable")[:count]]

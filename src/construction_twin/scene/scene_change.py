@@ -1,4 +1,4 @@
-"""Several changes of a scene as one: no scene in between is one that anybody planned for. Metres."""
+"""Several changes of a scene as one, without the scenes in between. Metres."""
 
 from __future__ import annotations
 

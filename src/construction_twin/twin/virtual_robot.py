@@ -203,7 +203,7 @@ class VirtualRobot:
 
 
 class TwinClock:
-    """Decides which stamps the twin's poses are published with: those of its commands, and the clock's while there are none.
+    """Chooses the stamps of the twin's poses: those of its commands, without commands the clock's.
 
     Stamps increase: one that is older than what was published is not published. After a restart they may go on on an earlier clock.
     """

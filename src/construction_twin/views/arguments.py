@@ -43,7 +43,7 @@ class Exit(enum.IntEnum):
 
 def read_command_line(words: list[str]) -> argparse.Namespace:
     """Return the options of the words of a command line; SystemExit for help and for what is refused."""
-    # rospy.myargv would load rospy; argparse takes "-30,5" for an option, and says nothing of its comma
+    # rospy.myargv would load rospy; argparse takes "-30,5" for an option, and accepts its comma
     words = [f" {word}" if re.match(r"-\.?\d.*,", word) else word for word in words if ":=" not in word]
     command_line = parser(os.environ.get("ROS_NAMESPACE", "").strip("/") or "kr120")
     options = command_line.parse_args(words)
@@ -141,7 +141,7 @@ def add_approve(approve: argparse.ArgumentParser) -> None:
 
 
 def check(options: argparse.Namespace) -> str:
-    """Return what does not fit together in a parsed `plan` or `arm`, as a sentence; empty when it fits."""
+    """Return the conflict of options of a parsed `plan` or `arm`, as a sentence; empty for none."""
     if options.command == "arm" and not options.responsible.strip():
         return "arm needs --responsible NAME: a person takes the responsibility for what is not checked with a bare PLC"
     if options.command != "plan":

@@ -86,7 +86,7 @@ def plan_lines(plan: Plan, linear: Sequence[bool], changes: Sequence[SceneChange
 
 
 def describe(plan: Plan, changes: Sequence[SceneChange] = (), problem: str = "") -> str:
-    """Return the lines that stand over a plan in rviz; `problem`: why what is drawn may not be what is approved."""
+    """Return the lines over a plan in rviz; `problem`: why the drawing may differ from what is approved."""
     lines = [f"{plan.trajectory.duration:.2f} s, {plan.planner} for {plan.source}"]
     if plan.segments:
         lines += [f"task {cut(plan.task)}, blue: engaged", *([f"LOOK TWICE: {problem}"] if problem else [])]
@@ -255,7 +255,7 @@ def range_sentence(joint: str, value: float, robot: RobotModel) -> str:
 
 
 def segment_words(segment: Segment, change: SceneChange | None = None) -> list[str]:
-    """Return what is special about a segment: engaged, what it needs, what is switched at its end, what becomes of the scene."""
+    """Return a segment's particulars: engaged, requirements, switches at its end, change of the scene."""
     words: list[str] = ["engaged"] if segment.engaged else []
     if segment.requires:
         signals = ", ".join(_state(signal.name, signal.value) for signal in segment.requires)
@@ -269,7 +269,7 @@ def segment_words(segment: Segment, change: SceneChange | None = None) -> list[s
 
 
 def change_words(change: SceneChange) -> str:
-    """Return what becomes of the scene, by the names of whole things: an element's bodies are called ``<element>/0``, ..."""
+    """Return a change of the scene in words, with an element's name for its bodies ``<element>/0``, ..."""
     phrases: list[str] = []
     for verb, names in (
         ("carries", [item.name for item in change.put if item.link]),

@@ -70,7 +70,7 @@ class PipeClosed(Exception):
 
 
 def drop_silent_peer(connection: socket.socket, seconds: float) -> None:
-    """Let the kernel end a connection whose peer takes nothing, or is not there, for so long."""
+    """Let the kernel end a connection after so many seconds without an acknowledgement of the peer."""
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, max(1, round(seconds / 2)))
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 1)
@@ -139,7 +139,7 @@ class Pipe:
                 await asyncio.wait_for(writer.wait_closed(), _BROKER_SILENCE_S)
             return "the browser has left"
         except PipeClosed as closed:
-            # what has not reached the broker by now never shall: a verdict that comes late moves an arm that nobody watches
+            # what has not reached the broker by now is dropped: a late verdict would move an unwatched arm
             writer.transport.abort()
             await self._close(closed.code, str(closed))
             return str(closed)

@@ -127,7 +127,7 @@ def _own_tls(certificate: Path, key: Path) -> ssl.SSLContext:
     """Return the TLS of the console itself; ConfigurationError when the files are no PEM, or do not fit each other."""
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     try:
-        # a key with a passphrase is refused: nobody is there to type it
+        # a key with a passphrase is refused: there is no terminal to type it
         context.load_cert_chain(certificate, key, password="")
     except (OSError, ssl.SSLError) as error:
         raise ConfigurationError("--certificate and --key", str(error), "readable files in PEM") from error

@@ -237,12 +237,12 @@ class ViewWriter:
         self._seq = 0
 
     def write(self, now: int, inputs: ViewInputs, moment: Moment) -> bytes:
-        """Return the next message at the ROS time `now` [ns], with the moment that requests of whoever sees it repeat."""
+        """Return the next message at the ROS time `now` [ns], with the moment that a screen's requests repeat."""
         self._seq += 1
         return self._message(True, self._seq, now, inputs, str(moment))
 
     def offline(self) -> bytes:
-        """Return the last will, a run's last message too: nothing is known. Its `seq` and `stamp` are 0, its `moment` is ""."""
+        """Return the last will, also a run's last message: all is unknown. Its `seq` and `stamp` are 0, its `moment` is ""."""
         return self._message(False, 0, 0, ViewInputs(), "")
 
     def _message(self, online: bool, seq: int, now: int, inputs: ViewInputs, moment: str) -> bytes:

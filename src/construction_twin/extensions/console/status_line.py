@@ -284,7 +284,7 @@ class Line:
 
 
 def status_lines(reports: CurrentReports) -> list[Line]:
-    """Return a line for each topic, the most urgent first; where nothing is, what the arm does."""
+    """Return a line for each topic, the most urgent first; for none, what the arm does."""
     lines = []
     if reports.cause:
         stopped = reports.sync is not None and reports.sync.state == "STOPPED"

@@ -63,7 +63,7 @@ class ArmDrives:
 
     @property
     def remarks(self) -> list[str]:
-        """What is an estimate, as a sentence; empty: nothing is."""
+        """Sentence on the estimates; empty for none."""
         keys = ", ".join(self.estimates).replace("_", " ")
         return [f"of the arm these are estimates: {keys}; torques: {self.source}"] if keys else []
 

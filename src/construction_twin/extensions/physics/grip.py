@@ -54,7 +54,7 @@ class SuctionGrip:
         return SuctionGrip(pinocchio.XYZQUATToSE3(pose), at, cups.radius, cups.holds * GRAVITY)
 
     def on(self, pieces: Sequence[Body]) -> SuctionGrip:
-        """Return the cups that lie on a workpiece, of which `pieces` are placed as seen from the tip link."""
+        """Return the cups that lie on a workpiece, with its `pieces` placed in the frame of the tip link."""
         ball = coal.Sphere(_BALL)
         request = coal.CollisionRequest()
         placed = [

@@ -156,7 +156,7 @@ class _Fit:
         self._count = sum(int(rows.sum()) for rows in self._rows)
 
     def joint(self, name: str) -> IdentifiedJoint:
-        """Return the servo with as many of its options as earn their place."""
+        """Return the servo with the options that improve the fit enough."""
         starts = [JointServo(guess, 0.8) for guess in _GUESSES]
         servo, cost = min((self._solve(start, ()) for start in starts), key=lambda found: found[1])
         options: tuple[str, ...] = ()

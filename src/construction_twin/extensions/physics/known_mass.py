@@ -32,7 +32,7 @@ def element_masses(tasks: Iterable[TaskReport]) -> dict[str, float]:
 
 
 def tool_mass(path: str) -> dict[str, float]:
-    """Return what a tool file says that the tool weighs [kg]; of no file nothing. Raises like `read_tool`."""
+    """Return the mass in a tool file [kg], {} without a file. Raises like `read_tool`."""
     return {TOOL: read_tool(path).tool.mass} if path else {}
 
 

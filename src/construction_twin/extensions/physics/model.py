@@ -80,7 +80,7 @@ class PhysicsModel:
 
 @dataclass(frozen=True)
 class Load:
-    """What the scene does not say of its objects.
+    """Properties of a scene's objects beside the scene.
 
     Attributes:
         masses: Of objects, by name [kg]; others are estimated from their volume.

@@ -333,7 +333,7 @@ class _Run:
         return True
 
     def _arm(self, scene: Scene, pose: np.ndarray, before: SimulatedArm | None, begin: float) -> SimulatedArm:
-        """Return the arm in a scene, from `begin` [s] on; what was let go goes on from where it is."""
+        """Return the arm in a scene, from `begin` [s] on; released bodies continue from where they are."""
         loose = {self._bodies[name] for name in (self._handled | {*self._of.masses}) & set(scene.names)} - self._fixed
         physics = self._model(scene, {name: body for name, body in self._bodies.items() if body in loose})
         self._remarks += physics.remarks
@@ -443,7 +443,7 @@ class _Run:
         return owner not in self._of.bodies.link_joints, owner not in self._carried, owner
 
     def _settled(self, arm: SimulatedArm, setpoint: np.ndarray) -> tuple[LooseObject, ...]:
-        """Let the arm and everything that can move come to rest, nothing asleep, and return what became of it."""
+        """Let the arm and all loose bodies come to rest, none asleep, and return their displacements."""
         duration = self._trajectory.duration
         # nobody has planned how far the tool is from what it has let go of at the very end
         without = {name for name, released in self._released.items() if released >= duration}

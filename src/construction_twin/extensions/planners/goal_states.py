@@ -78,7 +78,7 @@ TABLE: tuple[Row, ...] = (
     *rows(_S.PLANNING, _E.PLANNED, _S.REVIEW, _A.ACCEPT),
     *rows(_S.PLANNING, _E.NOT_PLANNED, _S.FREE, _A.REFUSE),
     *rows(_S.PLANNING, _E.CANCEL, _S.DISCARDING, _A.PREEMPT),
-    # a plan that nobody wants any more must not stay under review
+    # an orphaned plan must not stay under review
     *rows(_S.DISCARDING, _E.PLANNED, _S.WITHDRAWING, _A.WITHDRAW),
     *rows(_S.DISCARDING, _E.NOT_PLANNED, _S.STOPPED),
     # a person decides

@@ -17,7 +17,7 @@ from construction_twin.robot.description import RobotModel
 
 
 class GoalError(ConstructionTwinError):
-    """A goal of another planner cannot be taken as it is."""
+    """A goal of another planner is invalid."""
 
 
 class GoalJointsError(GoalError):

@@ -21,7 +21,7 @@ from construction_twin.robot.description import RobotModel
 
 #: A call that failed, of `stop_plan` or `review_plan`, is made again after this time [ns].
 RETRY = NANOSECONDS // 5
-#: A plan that is withdrawn counts as gone when the executor has not said so for this long [ns].
+#: A withdrawn plan counts as gone after this long without the executor's report [ns].
 WITHDRAWAL = 5 * NANOSECONDS
 #: A goal ends this long after the executor's stop when the twin is not seen at rest [ns].
 STOPPED = 10 * NANOSECONDS

@@ -134,7 +134,7 @@ class Command:
         return self._approve(*work.plan_under_review())
 
     def _approve(self, expected: str = "", with_names: Callable[[str], str] = str) -> Exit:
-        """Approve the plan under review, no other than `expected`; `with_names` puts names in place of ids in what is printed."""
+        """Approve the plan under review, if it is `expected`; `with_names` puts names in place of ids in what is printed."""
         options = self._options
         listener = self._listener()
         plan = self._under_review(listener)
@@ -217,7 +217,7 @@ class Command:
         return RobotListener(self._namespace, self._robot())
 
     def _under_review(self, listener: RobotListener) -> Plan:
-        """Return the plan under review; RequestRefused if there is none, or if another one was named."""
+        """Return the plan under review; RequestRefused for none, or another one than named."""
         expect_publisher(f"{self._namespace}/execution")
         if not listener.wait(lambda: listener.newest("execution") is not None, self._options.timeout):
             topic = f"{self._namespace}/execution"

@@ -110,7 +110,7 @@ def plan_from_msg(msg: PlanMsg) -> Plan:
 
 
 def segment_to_msg(segment: Segment, change: SceneChange = SceneChange()) -> SegmentMsg:
-    """Return the message; `change` is what makes of its scene the one after it."""
+    """Return the message; `change` leads to the scene after it."""
     msg = to_msg(segment, SegmentMsg)
     _add_change(msg, change)
     return msg

@@ -35,7 +35,7 @@ class PlanService:
     goal: Callable[[GoalRequest], dict[str, object]] = lambda _: {}
 
     def fields(self, request: GoalRequest, **further: object) -> dict[str, object]:
-        """Return the fields of the service's request; those of `further` that it does not take are left out."""
+        """Return the fields of the service's request, with those of `further` that it has."""
         return request_fields(self.kind, request, **further) | self.goal(request)
 
 

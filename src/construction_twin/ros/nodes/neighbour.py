@@ -124,7 +124,7 @@ class ArmListener:
         )
 
     def carrying(self, plan: Plan, scene: Scene) -> Scene:
-        """Return a scene in which the arm carries at once all that it will carry during a plan."""
+        """Return a scene in which the arm carries all loads of a plan at once."""
         with self._lock:
             _, carried = self._plans.get(plan.id, (plan, ()))
         objects = {item.name: item for item in (*scene.objects, *carried)}
@@ -317,7 +317,7 @@ class NeighbourNode:
         self._publisher.publish(with_sentences(message, problem))
 
     def _obstacle(self, plan: Plan, own: Claim | None) -> str:
-        """Return why a plan must not start, or go on: it meets the other arm's earlier plan, or that arm where it stands; or ""."""
+        """Return the conflict of a plan with the other arm's earlier plan, or its present place; "" for none."""
         scene, plays = self._own.scene, own is not None and own.plan_id == plan.id
         try:
             occupied = self._other.occupied()

@@ -424,7 +424,7 @@ INTERFACE = shell.Interface(
         shell.Subscription(
             "speed_limit",
             msg.SpeedLimit,
-            lambda node, said: node.speed.on_program(said),
+            lambda node, message: node.speed.on_program(message),
             queue_size=5,
             tcp_nodelay=True,
         ),

@@ -110,7 +110,7 @@ class NodeDiagnostics:
 
     @property
     def refused(self) -> Counter[str]:
-        """How often each reason was counted: a copy, because other threads go on counting."""
+        """A copy of the counts by reason."""
         with self._lock:
             return Counter(self._refused)
 

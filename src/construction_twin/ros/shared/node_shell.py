@@ -1,4 +1,4 @@
-"""A robot's node: its parameters, their check, and all that it has to do with ROS, as data; `NodeIO` opens that."""
+"""A robot's node as data: parameters, their check, topics, services and timers; `NodeIO` opens them."""
 
 from __future__ import annotations
 
@@ -284,7 +284,7 @@ class NodeShell(Generic[Settings]):
         return self.open(*found)
 
     def open(self, settings: Settings, robot: RobotModel) -> Any:
-        """Return the node, with all that it has to do with ROS."""
+        """Return the node, with its topics, services and timers open."""
         node_io = NodeIO(self.interface, settings, robot)
         node = self.start(settings, robot, node_io)
         node_io.connect(node)

@@ -93,7 +93,7 @@ class RobotListener:
         return None if plan is None or plan.id in decided else plan
 
     def changes(self, plan_id: str) -> tuple[SceneChange, ...]:
-        """Return what the segments of the newest plan do to the scene; nothing if it is another one or they cannot be read."""
+        """Return the changes of the scene by the newest plan's segments; () for another plan, or an unreadable one."""
         newest = self.newest("plan")
         if newest is None or newest.id != plan_id:
             return ()
@@ -147,7 +147,7 @@ def _record(kind: type[_Report], message: genpy.Message | None) -> _Report | Non
 
 
 class OperatorClient:
-    """Calls the services of one robot; RequestRefused where the answer is no, SilenceError where there is none.
+    """Calls the services of one robot; RequestRefused or SilenceError where one fails.
 
     `timeout`: for the service to be there [s]; an answer may take longer. `source`: who asks, for the reviewer.
     """
@@ -185,7 +185,7 @@ class OperatorClient:
         return self.ask("mqtt_bridge/act_as_seen", ActAsSeen, act="arm", person=responsible)
 
     def latched(self, name: str, kind: Any, silent: str, to_do: str) -> Any:
-        """Return what is latched on a topic of the robot; SilenceError when nothing is."""
+        """Return the message latched on a topic of the robot, or raise SilenceError."""
         topic = f"{self._namespace}/{name}"
         expect_publisher(topic)
         try:

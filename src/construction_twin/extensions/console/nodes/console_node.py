@@ -115,7 +115,7 @@ class ConsoleNode:
         others.connect(self.feed.first, self.feed.republish_retained)
 
     def run(self) -> None:
-        """Carry out what is asked for, and show everything, until shutdown."""
+        """Carry out requests, and publish the state, until shutdown."""
         self.acts.start()
         viewer = threading.Thread(target=self.run_view, name="view", daemon=True)
         for each in (

@@ -97,7 +97,7 @@ class Connection:
         self._client.publish(topic, payload, qos=1)
 
     def count(self, kind: RequestKind, word: str) -> None:
-        """Count what became of a request."""
+        """Count a request by its outcome."""
         with self._counting:
             self.counts[f"{kind.name} {word}"] += 1
 
@@ -203,7 +203,7 @@ class IncomingRequest:
         self.count_refusal(reason, f"{self.kind.name}: {sentence}")
 
     def count(self, word: str) -> None:
-        """Count what became of it."""
+        """Count it by its outcome."""
         self._connection.count(self.kind, word)
 
     def count_refusal(self, reason: str, sentence: str) -> None:

@@ -98,7 +98,7 @@ class _NewestReport(Generic[_Report]):
         return report
 
     def fresh(self, oldest: float = math.inf) -> FreshReport | None:
-        """Return it with its age; None: there is none, or it is older than that [s]."""
+        """Return it with its age; None: none, or older than that [s]."""
         newest = self._newest
         if newest is None or (age := time.monotonic() - newest[1]) > oldest:
             return None

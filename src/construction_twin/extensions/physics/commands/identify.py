@@ -84,7 +84,7 @@ def _stretches(known: np.ndarray, follows: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _first_rest(targets: np.ndarray, cycles: int) -> int | None:
-    """Return the first row at which the target has not changed for so many cycles; None when there is none."""
+    """Return the first row after so many cycles with an unchanged target; None when there is none."""
     still = np.concatenate([[True], (np.diff(targets, axis=0) == 0.0).all(axis=1)])
     rested = np.flatnonzero(_lasts(still, cycles))
     return int(rested[0]) if len(rested) else None

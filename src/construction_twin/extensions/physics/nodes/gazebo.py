@@ -170,7 +170,7 @@ class _Builder:
     def _add_shapes(
         self, link: Element, own: Iterable[Body], looks: Iterable[Element] | None = (), touchable: bool = True
     ) -> None:
-        """Add what can be touched, and what is seen: the same, where a link has no looks of its own."""
+        """Add collisions and visuals: the same where a link has no visuals of its own."""
         for number, one in enumerate(own):
             geometry = self._geometry(one, f"{_name(one.owner)}_{number}")
             if touchable and not self._may_touch(one):

@@ -131,7 +131,7 @@ class RehearsalNode:
             self._news.notify_all()
 
     def on_plan(self, message: PlanMsg) -> None:
-        """Queue a plan; it supersedes the one that is rehearsed."""
+        """Queue a plan in place of the one that is being rehearsed."""
         if self._absent:
             return
         try:

@@ -162,7 +162,7 @@ def trajectory_goal(goal, goal_id: str, client: str, robot: RobotModel, defaults
 
 
 def asked_duration(trajectory: JointTrajectory) -> float:
-    """Return how long a trajectory asks its motion to take [s]; 0: it does not say. A single point's time counts from now."""
+    """Return the requested duration of a trajectory [s]; 0: none. A single point's time counts from now."""
     times = [point.time_from_start.to_nsec() / NANOSECONDS for point in trajectory.points]
     return times[-1] - (times[0] if len(times) > 1 else 0.0)
 
