@@ -143,6 +143,20 @@ def test_copies_of_a_mapped_body_are_made_once_and_each_is_doubted_with_the_firs
         assert [whole(each) for each in (first, second, large)] == pytest.approx([0.004, 0.004, 0.032])
 
 
+def test_copies_beside_an_alignment_each_stand_where_the_kernel_has_them(read):
+    model = IfcModel("IFC4X3")
+    way = model.make("IfcPolyline", [model.point(0.0, 0.0, 0.0), model.point(10.0, 0.0, 0.0)])
+    at = model.make("IfcPointByDistanceExpression", model.make("IfcLengthMeasure", 3000.0), None, None, None, way)
+    along = model.make("IfcLinearPlacement", None, model.make("IfcAxis2PlacementLinear", at), None)
+    source = model.map_of(model.representation(model.extrusion(model.rectangle(0.2, 0.02), 1.0)))
+    for number in range(2):
+        post = model.element("IfcMember", f"post {number}", model.representation(model.mapped(source)))
+        post.ObjectPlacement = model.make("IfcLocalPlacement", along, model.axes((float(number), 0.0, 0.0)))
+    found = read(model)
+    assert [found[f"post {number}"].model_T_element.position[0] for number in range(2)] == pytest.approx([3.0, 4.0])
+    assert all(each.bodies and not each.doubt for each in found.values())
+
+
 def test_a_body_without_a_triangle_refuses_no_other(read):
     model = IfcModel()
     flat = model.extrusion(model.rectangle(0.1, 0.1), 1.0)

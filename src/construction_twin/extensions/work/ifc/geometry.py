@@ -329,8 +329,10 @@ def _parts(node: _Entity) -> tuple[_Entity, ...]:
 def _mapping(product: _Entity, representation: _Entity) -> tuple[object, ...]:
     """Return what is mapped how, by which copies are known where the kernel is not needed for their place; empty: they are not."""
     placement, found = product.ObjectPlacement, []
-    if placement is not None and not placement.is_a("IfcLocalPlacement"):
-        return ()
+    while placement is not None:
+        if not placement.is_a("IfcLocalPlacement"):
+            return ()
+        placement = placement.PlacementRelTo
     for item in representation.Items:
         if not item.is_a("IfcMappedItem"):
             return ()
