@@ -390,7 +390,7 @@ class ScriptedRobot:
         self, kind: RequestKind, model: type[Verdict], account: str, payload: bytes, retained: bool
     ) -> None:
         try:
-            review = read_message(model, kind, payload, retained).by(account)
+            review = read_message(model, kind, payload, retained).review_by(account)
         except PayloadError as error:
             self._answer(kind, account, False, str(error), reviewer=account)
             return

@@ -32,7 +32,7 @@ class Permission(pydantic.BaseModel):
 
     @pydantic.field_validator("auto_approve_sources")
     @classmethod
-    def _never_with_a_real_arm(cls, names: tuple[str, ...], context: pydantic.ValidationInfo) -> tuple[str, ...]:
+    def _refuse_real_arm(cls, names: tuple[str, ...], context: pydantic.ValidationInfo) -> tuple[str, ...]:
         if names and context.data.get("arm") == "real":
             raise ValueError("none with a real arm: the name of a client proves nothing, a person has to approve")
         return names

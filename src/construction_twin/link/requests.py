@@ -84,7 +84,7 @@ class Request(pydantic.BaseModel):
 
     @pydantic.model_validator(mode="before")
     @classmethod
-    def _has_no_key_too_many(cls, found: Any) -> Any:
+    def _refuse_extra_keys(cls, found: Any) -> Any:
         # as of `Many`, before each unknown key is one more fault
         if isinstance(found, dict) and len(found) > len(cls.model_fields):
             raise ValueError(f"expected no keys but {', '.join(cls.model_fields)}")
@@ -199,7 +199,7 @@ class Verdict(Request):
             parse_moment(self.moment)
         return self
 
-    def by(self, account: str) -> ReviewRequest:
+    def review_by(self, account: str) -> ReviewRequest:
         """Return the verdict on record; without an account under the name in the message."""
         says = self.reviewer if account and self.reviewer != account else ""
         names = {"reviewer": account or self.reviewer, "account": account, "says": says}

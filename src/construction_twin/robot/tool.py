@@ -56,7 +56,7 @@ class Output(_Strict):
     opens: bool | None = None
 
     @pydantic.model_validator(mode="after")
-    def _keeps_the_part(self) -> Output:
+    def _check_stop_value(self) -> Output:
         if self.on_stop == "off" and self.opens is False:
             raise ValueError("on_stop keep, or opens true: one missed reply would drop the part")
         return self

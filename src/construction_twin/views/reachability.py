@@ -46,7 +46,7 @@ def judge_pose(pose: Pose, seed: Sequence[float], solver: InverseKinematics, wor
     except NotFoundError as error:
         return PoseVerdict(Reach.UNKNOWN, f"no joint values found in {error.budget_s:.3g} s; there may be some")
     except KinematicsError as error:
-        return PoseVerdict(Reach.OUT, why_out(error, solver.chain.robot))
+        return PoseVerdict(Reach.OUT, out_reason(error, solver.chain.robot))
     touching: list[PoseVerdict] = []
     for q in solutions:
         contact = world.contact(q.tolist())
@@ -57,7 +57,7 @@ def judge_pose(pose: Pose, seed: Sequence[float], solver: InverseKinematics, wor
     return touching[0]
 
 
-def why_out(error: KinematicsError, robot: RobotModel) -> str:
+def out_reason(error: KinematicsError, robot: RobotModel) -> str:
     """Return why there is no joint solution, for people: by how much the pose is out of reach, or which joint's range ends."""
     if isinstance(error, UnreachableError):
         missing = f"{error.missing * 1e3:.0f} mm"

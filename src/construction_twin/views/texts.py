@@ -161,7 +161,7 @@ def status_lines(snapshot: Snapshot) -> list[str]:
         lines.append(f"holds      {cause}")
     for name in ("link", "sync", "execution"):
         facts = getattr(snapshot, name)
-        text = "no report" if facts is None else f"{facts.text}{because(facts.reason)}"
+        text = "no report" if facts is None else f"{facts.text}{reason_suffix(facts.reason)}"
         if facts is not None and name in snapshot.silent:
             text = f"silent for {snapshot.silent[name]:.0f} s; the last was {facts.text}"
         lines.append(f"{name:10} {text}")
@@ -173,7 +173,7 @@ def status_lines(snapshot: Snapshot) -> list[str]:
         lines += [f"           {sentence}" for sentence in snapshot.link.not_checked]
     if snapshot.execution is not None and snapshot.execution.plan_id:
         execution = snapshot.execution
-        lines.append(f"last plan  {execution.plan_id}{because(execution.outcome or 'under way')}")
+        lines.append(f"last plan  {execution.plan_id}{reason_suffix(execution.outcome or 'under way')}")
     lines += work_lines(snapshot.execution)
     lines.append(f"review     {under_review(snapshot.plan)}")
     if snapshot.plan is not None and snapshot.execution is not None and snapshot.execution.approval_obstacle:
@@ -241,7 +241,7 @@ def closest_pair(bodies: Sequence[str]) -> str:
     return f"{bodies[0]} to {bodies[1]}" if len(bodies) == 2 else "".join(bodies)
 
 
-def because(reason: str) -> str:
+def reason_suffix(reason: str) -> str:
     """Return a reason as the rest of a line; nothing for none."""
     return f": {reason}" if reason else ""
 

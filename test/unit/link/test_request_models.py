@@ -134,7 +134,7 @@ def payload(**changes) -> bytes:
 
 
 def review(data: bytes, account: str = "", retained: bool = False) -> ReviewRequest:
-    return read_message(Verdict if account else NamelessVerdict, REVIEW, data, retained).by(account)
+    return read_message(Verdict if account else NamelessVerdict, REVIEW, data, retained).review_by(account)
 
 
 def refusal(data: bytes, account: str = "", retained: bool = False) -> str:
@@ -213,7 +213,7 @@ def test_an_override_is_an_approval_with_a_reason_and_what_was_seen_of_the_rehea
         with pytest.raises(PayloadError):
             read_message(Override, OVERRIDE, data, False)
         return
-    found = read_message(Override, OVERRIDE, data, False).by(ADA)
+    found = read_message(Override, OVERRIDE, data, False).review_by(ADA)
     assert found.override_rehearsal and found.approve and found.rehearsal_hash == ("d1" if not changes else "")
     assert refusal(data, ADA) == "format"
 

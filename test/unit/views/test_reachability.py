@@ -14,7 +14,7 @@ from construction_twin.kinematics.solution import OrientationError, UnreachableE
 from construction_twin.robot.motion_errors import KinematicsError
 from construction_twin.ros.nodes.tool_marker import COLOURS
 from construction_twin.scene.objects import SceneObject
-from construction_twin.views.reachability import Reach, judge_pose, why_out
+from construction_twin.views.reachability import Reach, judge_pose, out_reason
 
 FLOOR = SceneObject("floor", "box", (20.0, 20.0, 1.0), (0.0, 0.0, -0.5))
 FREE, WALLED = world(), world(WALL)
@@ -39,13 +39,13 @@ def test_a_pose_out_of_reach_tells_by_how_much():
 
 def test_a_joint_in_the_way_is_named_with_its_range():
     lower, upper = ROBOT.lower[4], ROBOT.upper[4]
-    text = why_out(OrientationError("joint_a5", np.radians(150.0), lower, upper), ROBOT)
+    text = out_reason(OrientationError("joint_a5", np.radians(150.0), lower, upper), ROBOT)
     low, high = (f"{np.degrees(end):.1f} deg" for end in (lower, upper))
     assert text == f"joint_a5 would have to be 150.0 deg; its range is {low} to {high}"
 
 
 def test_too_close_is_another_advice():
-    assert why_out(UnreachableError(0.25, too_close=True), ROBOT) == "too close by 250 mm; move it further away"
+    assert out_reason(UnreachableError(0.25, too_close=True), ROBOT) == "too close by 250 mm; move it further away"
 
 
 def test_what_was_not_found_is_not_called_out_of_reach():

@@ -110,7 +110,7 @@ class Acts:
                 "a verdict on review names nobody: on a broker with accounts publish it on review/<account>; "
                 "if the broker refuses that, its rules are old: run make_site again",
             )
-        review = verdict.by(request.account)
+        review = verdict.review_by(request.account)
         fields = request_fields(ReviewPlan, replace(review, reason=review.recorded_reason))
         if review.approve:
             return Outcome.of(call(self._services.approve, EXECUTOR, **fields))
