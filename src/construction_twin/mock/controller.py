@@ -384,23 +384,21 @@ class MockController:
         config = self.config
         for index, axis in enumerate(config.axes):
             if not config.lower[index] - _RANGE_SLACK <= setpoint[index] <= config.upper[index] + _RANGE_SLACK:
-                asked, low, high = self._on_pendant(index, setpoint[index], config.lower[index], config.upper[index])
+                asked, low, high = self._pendant(index, setpoint[index], config.lower[index], config.upper[index])
                 return f"software limit {axis}: {asked}, range {low} to {high}"
             step = setpoint[index] - self.setpoint[index]
             if abs(step) > self._max_step[index]:
                 limit = config.velocity[index]
-                asked, most, own = self._on_pendant(
-                    index, abs(step) / self._period, config.velocity_factor * limit, limit
-                )
+                asked, most, own = self._pendant(index, abs(step) / self._period, config.velocity_factor * limit, limit)
                 return f"command velocity {axis}: {asked}/s, limit {most}/s ({config.velocity_factor:g} times {own}/s)"
             change = abs(step - self._last_step[index])
             if change > self._max_step_change[index]:
                 limit, factor = config.acceleration[index], config.acceleration_factor
-                asked, most, own = self._on_pendant(index, change / self._period**2, factor * limit, limit)
+                asked, most, own = self._pendant(index, change / self._period**2, factor * limit, limit)
                 return f"command acceleration {axis}: {asked}/s², limit {most}/s² ({factor:g} times {own}/s²)"
         return ""
 
-    def _on_pendant(self, index: int, *values: float) -> list[str]:
+    def _pendant(self, index: int, *values: float) -> list[str]:
         """Return values of an axis [rad], [m] in the units of the pendant, for people."""
         factor, unit = self._people_units[index]
         return [f"{value * factor:.6g} {unit}" for value in values]
