@@ -98,7 +98,7 @@ def recipes_file(folder: Path, **changes: object) -> Path:
 
 
 def known() -> Iterator[None]:
-    """A fixture of a module, in which this process is known: other tests compare what is known with the documents."""
+    """A fixture of a module: makes this process known."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(process.MODULES, NAME, "touch_process")
         yield
