@@ -42,7 +42,6 @@ class CommandStream:
         # the newest number; bit k: the number k below it was taken
         self._sequence = self._received = 0
         self._travel_time.restart()
-        # the last pose without a stamp, and how often it has come again
         self._rest: tuple[tuple[float, ...], int] = (), 0
 
     def read(
@@ -79,8 +78,7 @@ class CommandStream:
     def _arrival_stamp(self, now: int, q: tuple[float, ...]) -> int:
         """Return a stamp for a command without one: the sender's 4 ms grid, begun anew after a gap in which it was given up.
 
-        A lost command leaves the grid a cycle late until the stream rests. In motion the step is what it looks like, one over two
-        cycles in the time of one, and the motion check refuses it.
+        A lost command leaves the grid a cycle late until the stream rests; in motion it is a step, which the motion check refuses.
         """
         self._rest = q, self._rest[1] + 1 if q == self._rest[0] else 0
         expected = self.last_stamp + CYCLE_NS

@@ -89,10 +89,8 @@ class ControllerSession:
     def __init__(self, config: GatewayConfig, counters: Counter[str], zero: bool = False):
         self.replies = Replies(config.make.absolute, zero)
         self.status = self._no_status = config.make.no_status
-        self._limits = config.limits
-        self._tolerances = config.start_tolerances
-        self._rules = config.make.rules(config)
-        self._terms = config.make.terms
+        self._limits, self._tolerances = config.limits, config.start_tolerances
+        self._rules, self._terms = config.make.rules(config), config.make.terms
         self._counters = counters
         self._timeout = round(config.timeout * NANOSECONDS)
         self._timeout_ms = round(config.timeout * 1000)

@@ -59,8 +59,7 @@ class ToolSwitches:
         self._reported: deque[ToolSwitch] = deque(maxlen=MOST_REPORTED)
         self._used: deque[str] = deque(maxlen=MEMORY)
         #: Changes since the last call of `pop_change`: one that is published at once, one that may wait for others.
-        self._urgent = True
-        self._changed = False
+        self._urgent, self._changed = True, False
         self._telegrams = self._reported_at = 0
         self._latest: ToolReading | None = None
         self._begin(Sentence("no telegram yet"))
