@@ -23,6 +23,7 @@ ACCOUNTS = (
     "anonymous_broker_is_meant:=true"
 )
 _LISTENER = re.compile(r"^\s*listener\s+(\d+)", re.MULTILINE)
+_FILE = re.compile(r"^\s*(?:password_file|acl_file|cafile|certfile|keyfile)\s+(.*\S)", re.MULTILINE)
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -63,6 +64,9 @@ def check(path: str, port: int, accounts: bool = False) -> tuple[str, str]:
         raise ConfigurationError("mosquitto.conf", path, f"a file that can be read: {why}") from error
     if accounts and allows_anonymous(text):
         raise ConfigurationError("mosquitto.conf", path, ACCOUNTS)
+    for name in _FILE.findall(text):
+        if not os.access(name, os.R_OK):
+            raise ConfigurationError(path, name, "a file that this user can read; make_site writes those of a site")
     for number in listener_ports(text) or [port]:
         if not port_is_free(socket.SOCK_STREAM, number):
             raise ConfigurationError(

@@ -30,7 +30,10 @@ BOX = SceneObject("box", "box", (0.2, 0.3, 0.4), (1.0, -1.0, 0.5))
 
 def sdformat() -> ctypes.CDLL:
     """Return Debian's library; what its command line calls has a C interface."""
-    library = ctypes.CDLL(ctypes.util.find_library("sdformat12") or ctypes.util.find_library("sdformat14"))
+    name = ctypes.util.find_library("sdformat12")
+    if name is None:
+        pytest.skip("this system has no libsdformat12: Debian 13 has none")
+    library = ctypes.CDLL(name)
     library.cmdCheck.argtypes = [ctypes.c_char_p]
     return library
 
