@@ -14,6 +14,7 @@ import pytest
 
 from construction_twin.broker import make_site
 from construction_twin.broker.make_site import main
+from construction_twin.broker.start import check
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.mqtt.client import load_account
 
@@ -382,3 +383,14 @@ def test_a_secret_that_others_may_read_is_refused(folder, mode):
 def test_old_tls_is_not_spoken(folder):
     context = load_account(folder / "accounts/kr120-bridge/account.json").context()
     assert context.minimum_version >= ssl.TLSVersion.TLSv1_2 and context.verify_mode is ssl.CERT_REQUIRED
+
+
+@pytest.mark.parametrize("key", ["password_file", "acl_file", "keyfile"])
+def test_a_start_without_a_file_of_its_configuration_is_refused_by_that_files_name(tmp_path, key):
+    make(tmp_path, *HOST, *ROBOT)
+    conf = tmp_path / "broker" / "mosquitto.conf"
+    named = next(line.partition(" ")[2] for line in conf.read_text().splitlines() if line.startswith(f"{key} "))
+    check(str(conf), 18830)
+    Path(named).unlink()
+    with pytest.raises(ConfigurationError, match=f"found '{named}', expected a file that this user can read"):
+        check(str(conf), 18830)
