@@ -1,4 +1,4 @@
-"""What the gateway asks of a make of robot controller: a `Make`, of one folder beside this one.
+"""The port to a make of robot controller: a `Make`, of one folder beside this one.
 
 Each function of a `Make` is asked at the start, and what it returns is bound there. Targets are absolute, or corrections to an
 origin that stays, never increments (docs/architecture.md, law 2). rad, m, ms.

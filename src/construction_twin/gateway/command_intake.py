@@ -1,4 +1,4 @@
-"""Which commands are played: those of the armed session, in order, in time, inside the limits. rad, ns."""
+"""The check of commands: those of the armed session, in order, in time, inside the limits, are played. rad, ns."""
 
 from __future__ import annotations
 

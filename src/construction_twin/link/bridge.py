@@ -1,4 +1,4 @@
-"""What the bridge decides: joint strings, control messages, reports, and the answer to a person's request for a session.
+"""The bridge's decisions: joint strings, control messages, reports, and the answer to a person's request for a session.
 
 Pure: events in; messages, reports and answers out. Times are arguments [ns].
 """

@@ -1,4 +1,4 @@
-"""What the bridge knows of broker, gateway, arm and command stream, and what is missing for a link.
+"""The bridge's inputs about broker, gateway, arm and command stream, and the obstacle to a link.
 
 Pure: time is an argument [ns]. Angles in rad (axis space).
 """

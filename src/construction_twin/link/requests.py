@@ -1,4 +1,4 @@
-"""What people and planners ask for by MQTT: a model of each kind of message (docs/reference/mqtt.md), read strictly.
+"""Models of people's and planners' requests by MQTT (docs/reference/mqtt.md), read strictly.
 
 A refusal is a PayloadError: ``format`` for keys and their kinds, ``values`` for numbers, ``moment``, ``joints``. What starts
 something repeats the newest moment that its screen had received (`core.freshness`). Poses are those of `tool0` in base_link.

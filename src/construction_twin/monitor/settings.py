@@ -1,4 +1,4 @@
-"""How strict the gate is: what the service `configure_gate` can change at rest; see config/pca_monitor.yaml."""
+"""Settings of the gate, which the service `configure_gate` changes at rest; see config/pca_monitor.yaml."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _Threshold = Annotated[float, pydantic.Field(gt=0, le=1, strict=True)]
 
 
 class GateSettings(pydantic.BaseModel):
-    """How strict the gate is: the keys of config/pca_monitor.yaml, which explains each; SI."""
+    """Settings of the gate: the keys of config/pca_monitor.yaml, which explains each; SI."""
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 

@@ -1,4 +1,4 @@
-"""What people and programs may ask for by MQTT, each kind stated once: topics, right, answer, pace. Standard library only."""
+"""Kinds of requests by MQTT, each stated once: topics, right, answer, pace. Standard library only."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ WORTHWHILE = 0.02
 
 @dataclass(frozen=True)
 class PathQuery:
-    """What a path is sought for, between free poses within the bounds; it may end at any goal, the nearest first.
+    """The query of a path between free poses within the bounds; it may end at any goal, the nearest first.
 
     `seed`, 1 to 2**32 - 1, is of everything drawn by chance.
     """

@@ -78,7 +78,7 @@ class PlannerSettings(pydantic.BaseModel):
 
 @dataclass(frozen=True)
 class PlanRequest:
-    """What a request asks of a plan besides its ends, and what identifies it.
+    """Conditions of a request on its plan besides the ends, and its identity.
 
     Attributes:
         duration: [s]; None: as fast as the scales allow.

@@ -1,4 +1,4 @@
-"""What happened in a run, as a list of changes with their moments; stamps are ROS time [ns]."""
+"""The time line of a run: changes with their moments; stamps are ROS time [ns]."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Change:
 
 @dataclass(frozen=True)
 class SyncMoment:
-    """What the gate measured when it left a state: error and threshold [rad], empty where nothing was compared; lag [s], or nan."""
+    """The gate's measurement when it left a state: error and threshold [rad], empty where nothing was compared; lag [s], or nan."""
 
     stamp: int
     joints: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""What a start waits for, in the order in which things come up, and what a person can do about it. Pure; times in s."""
+"""The obstacles to a start, in the order in which things come up, and their remedies. Pure; times in s."""
 
 from __future__ import annotations
 

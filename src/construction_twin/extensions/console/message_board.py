@@ -1,4 +1,4 @@
-"""The messages that a person must not miss, in a file: what the arm stood still for, what people did, who acknowledged it.
+"""The messages for people, in a file: holds of the arm, people's acts, acknowledgements.
 
 Times are in s since 1970, UTC.
 """
@@ -119,7 +119,7 @@ class MessageBoard:
                     self._standing[key] = since, self._add(line, since)
 
     def on_act(self, act: str, at: float, sentence: str) -> None:
-        """Add what a person did, once."""
+        """Add a person's act, once."""
         with self._changing():
             self._add_act(act, at, sentence)
 
@@ -129,7 +129,7 @@ class MessageBoard:
             self._add(_act(act, sentence), at, until=at)
 
     def on_speed(self, change: SpeedChange) -> None:
-        """Add a change of people's speed limit; what one person drags it down is one message."""
+        """Add a change of people's speed limit; one drag downwards is one message."""
         at, act = change.stamp / NANOSECONDS, RAISED if change.limit > change.before else LOWERED
         with self._changing():
             id_, last = self._lowered

@@ -1,4 +1,4 @@
-"""What drives the axes: torques they can give, inertias of their motors, friction, and how much the arm may carry. SI.
+"""The drives of the axes: torques, motor inertias, friction, and the arm's payload rating. SI.
 
 Torque limits are the URDF's ``effort``; the rest is in a file of the arm (config/kr120_drives.yaml), or zero.
 """
@@ -27,7 +27,7 @@ class _Strict(pydantic.BaseModel):
 
 
 class PayloadRating(_Strict):
-    """What the arm may carry at its flange; None: unknown.
+    """The payload permitted at the flange; None: unknown.
 
     Attributes:
         across_m, along_m: How far the load's centre of mass may be from the flange, across the last axis and along it.

@@ -1,4 +1,4 @@
-"""What a suction tool must hold while the arm moves, against what its cups hold.
+"""The load of a suction tool while the arm moves, against its cups' capacity.
 
 The plate with the cups is rigid. What the workpiece is pulled and pushed by (its weight, its acceleration, what it touches) is
 spread over the cups so that the plate is in balance with the least squares of their forces. A cup is four points on its lip, so
@@ -120,7 +120,7 @@ class GripLoadRecorder:
         self._moments.append(moment @ axes)
 
     def worst(self) -> GripLoad:
-        """Return what the cup that is loaded most had to hold in the worst of the cycles."""
+        """Return the largest load of a cup over all cycles."""
         usages = self._grip.usages(np.array(self._forces), np.array(self._moments))
         number = int(np.argmax(usages))
         return GripLoad(self._name, len(self._grip.cups), self._times[number], float(usages[number]))

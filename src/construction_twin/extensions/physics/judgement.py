@@ -111,7 +111,7 @@ def failure_reasons(report: RehearsalReport, linear: Set[str]) -> Iterator[Sente
 
 
 def worst_payload(payloads: Sequence[MassProperties], bodies: RobotBodies, rating: PayloadRating | None) -> PayloadLoad:
-    """Return the largest of each number of what the flange carries, one scene after the other, beside the arm's rating.
+    """Return the largest of each number of the flange's load, one scene after the other, beside the arm's rating.
 
     `payloads`: In the frame of the last joint.
     """

@@ -29,7 +29,7 @@ _LARGEST_PAYLOAD, _LARGEST_DISTANCE = 1e4, 10.0
 
 @dataclass(frozen=True, eq=False)
 class MassProperties:
-    """What a rigid body weighs, and how its mass is spread.
+    """Mass, centre and inertia of a rigid body.
 
     Attributes:
         centre: Shape (3,). Centre of mass in the body's frame [m].
@@ -113,7 +113,7 @@ def check_serial(bodies: RobotBodies) -> None:
 
 
 def of_link(bodies: RobotBodies, index: int) -> tuple[MassProperties, list[str]]:
-    """Return what the links of a joint weigh, in its frame, and remarks.
+    """Return the mass properties of a joint's links, in its frame, and remarks.
 
     It is what the URDF says, or, where that says nothing, their shapes at `UNKNOWN_DENSITY`.
     """

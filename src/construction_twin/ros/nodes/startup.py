@@ -1,4 +1,4 @@
-"""startup: ends a start that cannot work, and tells the operator what one that can waits for, and when everything is there."""
+"""startup: ends a start that cannot work, and logs what a start waits for, until all is there."""
 
 from __future__ import annotations
 

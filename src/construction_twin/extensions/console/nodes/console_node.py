@@ -187,7 +187,7 @@ class ConsoleNode:
 
 
 def _services() -> Services:
-    """Return the services of what people do; what starts nothing is connected to for good, and may be called twice."""
+    """Return the services of people's acts; those that start nothing have an open connection, and may be called twice."""
     pressed = {
         kind.name: (rospy.ServiceProxy if kind.starts else PersistentService)(
             f"{'mqtt_bridge' if kind.by == BRIDGE else 'executor'}/act_as_seen", srv.ActAsSeen

@@ -1,4 +1,4 @@
-"""What the node publishes of the robot by MQTT: `view`, the status line, the scene, the tasks of the building model, messages.
+"""The robot's state by MQTT: `view`, the status line, the scene, the tasks of the building model, messages.
 
 The poses come in bundles, so that `view` costs the bridge no more than another subscriber.
 """

@@ -1,4 +1,4 @@
-"""Handlers of requests by MQTT: what people do (`Acts`), motions and plans (`ConsoleRequests`), which move nothing.
+"""Handlers of requests by MQTT: people's acts (`Acts`), motions and plans (`ConsoleRequests`), which move nothing.
 
 What people do has a connection of its own, and each kind a queue and a thread, so that a stop, a pause and a rejection wait for
 nothing else. The gateway reads the same stops itself: this one brakes along the path, and voids the plans that wait.
@@ -67,7 +67,7 @@ class Services:
 
 
 class Acts:
-    """Handlers of what people do, each kind with a queue and a thread.
+    """Handlers of people's acts, each kind with a queue and a thread.
 
     A rejection never waits behind an approval, whose record may wait for a disk, nor lowering the speed limit behind raising it.
     """
@@ -161,7 +161,7 @@ def _run_queue(queue: RequestQueue) -> None:
 
 
 class ConsoleRequests:
-    """What carries out motions and plan requests, which wait in `queue`.
+    """Handlers of motions and plan requests, which wait in `queue`.
 
     Args:
         has_work: Returns whether a building model is worked on.
@@ -192,7 +192,7 @@ class ConsoleRequests:
     # -- motions
 
     def _check_motion(self, asked: Any, request: IncomingRequest) -> Outcome:
-        """Have a motion, a `TrajectoryRequest` of the extension planners, checked and timed."""
+        """Check and time a motion, a `TrajectoryRequest` of the extension planners."""
         answer = call(
             self._plan_trajectory,
             "the planner",
