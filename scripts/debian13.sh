@@ -23,7 +23,7 @@ copy_repository() {
 make_in() {
   say "make $*"
   # the certificates that pip and apt use here, and this machine's settings of pip
-  (inside env -i HOME=/root PATH=/usr/sbin:/usr/bin:/sbin:/bin LANG=C.UTF-8 $(env | grep -E '^(PIP_|SSL_CERT_FILE=|REQUESTS_CA_BUNDLE=)') make -C /construction_twin "$@")
+  (inside env -i HOME=/root PATH=/usr/sbin:/usr/bin:/sbin:/bin LANG=C.UTF-8 $(env | grep -E '^(PIP_|SSL_CERT_FILE=|REQUESTS_CA_BUNDLE=|NODE_EXTRA_CA_CERTS=)') make -C /construction_twin "$@")
 }
 
 make_system
