@@ -48,9 +48,9 @@ def make_chain(
     return chain
 
 
-def make_plan(chain: SimulatedChain, goal, **timing) -> Plan:
+def make_plan(chain: SimulatedChain, goal, robot=ROBOT, **timing) -> Plan:
     """Return a plan from the twin's pose to `goal`, timed as `time_path` is told."""
-    trajectory = time_path(np.array([chain.twin.pose, goal]), ROBOT, **timing)
+    trajectory = time_path(np.array([chain.twin.pose, goal]), robot, **timing)
     return plan_samples.make_plan(trajectory, f"plan-{chain.now}", asked_ns=chain.now)
 
 

@@ -1,4 +1,4 @@
-"""The last stage before the corrections: a position that follows targets and never leaves the joint limits.
+"""The last stage before the corrections: a position that follows targets and never leaves the joint limits, or comes into them.
 
 One step per controller cycle. A target within the limits is met exactly, any other is chased until it is met (`settling`); law 3 of
 docs/architecture.md. Joint values in rad and rad per cycle, m for prismatic joints.
@@ -25,7 +25,8 @@ class Follower:
 
     def __init__(self, limits: MotionLimits, decimals: int, q: tuple[float, ...], cycle: float = CYCLE):
         self.cycle = cycle
-        self._lower, self._upper = limits.lower, limits.upper
+        # an arm that stands outside its range is not moved by itself
+        self._lower, self._upper = tuple(map(min, limits.lower, q)), tuple(map(max, limits.upper, q))
         self._speed = tuple(v * cycle for v in limits.velocity)
         self._budget = tuple(a * cycle * cycle for a in limits.acceleration)
         self._wide_budget = tuple(

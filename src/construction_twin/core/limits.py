@@ -12,6 +12,8 @@ from construction_twin.core.units import CYCLE, NANOSECONDS, format_allowance, l
 
 #: Slack of the range check [rad], [m]: what a conversion of units may add at a range's end.
 RANGE_SLACK = 1e-9
+#: An arm may stand this far outside its range, as its encoders read it, and come in from there [rad], of a prismatic joint [m].
+OUTSIDE = (math.radians(0.05), 1e-4)
 
 
 @dataclass(frozen=True)
@@ -47,13 +49,18 @@ class MotionLimits:
         unit = "m" if self.linear[index] else "rad"
         return MotionRefused(reason, self.names[index], value, limit, unit + per)
 
-    def check_range(self, q: tuple[float, ...]) -> None:
-        """Raise MotionRefused naming the first joint of `q` [rad], [m] that is not a number inside its range."""
+    def check_range(self, q: tuple[float, ...], last: tuple[float, ...] = ()) -> None:
+        """Raise MotionRefused naming the first joint of `q` [rad], [m] that is not a number inside its range.
+
+        From `last` on, up to `OUTSIDE` out of the range, a joint may stay or come in.
+        """
         if len(q) != len(self.names) or not all(map(math.isfinite, q)):
             raise MotionRefused("values", "", math.nan, math.nan)
         for index, (value, lower, upper) in enumerate(zip(q, self.lower, self.upper)):
             if not lower - RANGE_SLACK <= value <= upper + RANGE_SLACK:
-                raise self.refusal("range", index, value, upper if value > upper else lower)
+                most, before = OUTSIDE[self.linear[index]], last[index] if last else lower
+                if not max(lower - most, min(lower, before)) <= value <= min(upper + most, max(upper, before)):
+                    raise self.refusal("range", index, value, upper if value > upper else lower)
 
 
 def outside_tolerance(
@@ -117,7 +124,7 @@ class MotionCheck:
 
     def accept(self, stamp: int, q: tuple[float, ...]) -> None:
         """Check and store the next setpoint, by its nominal time [ns]; MotionRefused leaves the stream as it was."""
-        self.limits.check_range(q)
+        self.limits.check_range(q, self._position)
         period = (stamp - self._stamp) / NANOSECONDS
         if period <= 0.0:
             raise MotionRefused("order", "", period, 0.0, "s")

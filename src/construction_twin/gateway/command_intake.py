@@ -105,7 +105,7 @@ class CommandIntake:
 
     def begin_stream(self, held: tuple[float, ...], stamp: int, q: tuple[float, ...], waited: int, now: int) -> None:
         """Push the first command of a stream; MotionRefused when it is out of range, or away from the pose `held` (``start``)."""
-        self._limits.check_range(q)
+        self._limits.check_range(q, q)
         tolerances = self._config.start_tolerances
         off = outside_tolerance(q, held, tolerances)
         if off is not None:

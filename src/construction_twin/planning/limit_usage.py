@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from construction_twin.core.limits import OUTSIDE
 from construction_twin.core.units import CYCLE
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.motion_errors import JointRangeError
@@ -94,9 +95,13 @@ def _rounding(trajectory: Trajectory) -> tuple[np.ndarray, list[np.ndarray]]:
 
 
 def range_excess(q: np.ndarray, robot: RobotModel) -> np.ndarray:
-    """Return by how much joint values are out of range [rad] or [m], shape (m, n); 0 within `SAME_POINT` of the range."""
+    """Return by how much the samples of a motion, shape (m, n), are out of range [rad] or [m]; 0 within `SAME_POINT`.
+
+    Also 0 on the way in from a start up to `OUTSIDE` out of range.
+    """
     excess = np.maximum(np.array(robot.lower) - q, q - np.array(robot.upper))
-    return np.where(excess > SAME_POINT, excess, 0.0)
+    allowed = np.minimum.accumulate(np.minimum(excess, np.where(robot.linear, OUTSIDE[1], OUTSIDE[0])), axis=0)
+    return np.where(excess > np.maximum(allowed, 0.0) + SAME_POINT, excess, 0.0)
 
 
 def segment_jerks(
@@ -121,8 +126,8 @@ def segment_jerks(
 
 
 def check_range(q: np.ndarray, robot: RobotModel) -> None:
-    """Check that joint vectors, shape (m, n), are in range, to `SAME_POINT`; JointRangeError for the first value that is not."""
-    outside = np.argwhere((q < np.array(robot.lower) - SAME_POINT) | (q > np.array(robot.upper) + SAME_POINT))
+    """Check the samples of a motion, shape (m, n), by `range_excess`; JointRangeError for the first value that is out of range."""
+    outside = np.argwhere(range_excess(q, robot) > 0.0)
     if len(outside):
         row, joint = outside[0]
         where = robot.joint_names[joint], float(q[row, joint]), robot.lower[joint], robot.upper[joint]

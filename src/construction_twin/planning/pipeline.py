@@ -28,7 +28,14 @@ from construction_twin.planning.recheck import CollisionError, recheck
 from construction_twin.planning.request_limits import distinct
 from construction_twin.planning.timing import time_curve, time_path
 from construction_twin.planning.tool_path import ToolWaypoint
-from construction_twin.planning.waypoints import Waypoints, WaypointTimesError, asked_path, plan_waypoints, time_asked
+from construction_twin.planning.waypoints import (
+    Waypoints,
+    WaypointTimesError,
+    asked_path,
+    plan_waypoints,
+    time_asked,
+    wrapped_note,
+)
 from construction_twin.planning.work_plan import joined, plan_work
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.description import JointValues, RobotModel
@@ -259,23 +266,27 @@ class PlanningPipeline:
         """Plan a motion through joint waypoints made elsewhere; see `waypoints.plan_waypoints`.
 
         `retime`: times that need too much acceleration or jerk are replaced (`waypoints.time_asked`), and the plan says why; else
-        refused.
+        refused. `Plan.planner` also says where wrapped angles may stand.
         """
+
+        note = wrapped_note(waypoints, start, self._robot)
+        name = f"waypoints ({note})" if note else "waypoints"
 
         def build(world: CollisionWorld) -> Trajectory:
             return plan_waypoints(waypoints, start, self._robot, *self._scales(request), self._settings.bounds)
 
         def checked(world: CollisionWorld) -> Plan:
             try:
-                return self._checked(build, "waypoints", request, world, waypoints.times is not None)
+                return self._checked(build, name, request, world, waypoints.times is not None)
             except WaypointTimesError as error:
                 if not retime:
                     raise
-                return self._retimed(asked_path(waypoints, start, self._robot), request, world, str(error))
+                path = asked_path(waypoints, start, self._robot)
+                return self._retimed(path, request, world, str(error), name)
 
         return self._in_scene(checked)
 
-    def _retimed(self, path: Waypoints, request: PlanRequest, world: CollisionWorld, why: str) -> Plan:
+    def _retimed(self, path: Waypoints, request: PlanRequest, world: CollisionWorld, why: str, name: str) -> Plan:
         """Time a path anew through its points; RetimedCollisionError where the curve through them touches something."""
         # what was asked for is the sender's own pace, not the planner's default
         speed = 1.0 if request.speed_scale is None else request.speed_scale
@@ -290,8 +301,7 @@ class PlanningPipeline:
             rows = np.flatnonzero(distinct(path.positions))
             row = rows[np.clip(np.searchsorted(timed.passing_times, error.time), 1, len(rows) - 1)]
             raise RetimedCollisionError(error.between, path.way_to(int(row)), why) from error
-        planner = f"waypoints, timed anew ({why})"
-        plan = request.plan(planner, planning_time, timed.trajectory, measured, world.scene.hash)
+        plan = request.plan(f"{name}, timed anew ({why})", planning_time, timed.trajectory, measured, world.scene.hash)
         return replace(plan, retimed=why)
 
     @_store_failure

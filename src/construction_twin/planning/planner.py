@@ -15,6 +15,7 @@ import yaml
 
 from construction_twin.core.clock import Clock
 from construction_twin.core.freshness import Moment
+from construction_twin.core.limits import OUTSIDE
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
 from construction_twin.kinematics.chain import Pose
@@ -146,7 +147,7 @@ class Planner:
     ) -> Plan:
         """Plan a motion between two joint vectors, length n [rad] or [m], or raise PlanningError."""
         began = self._clock()
-        begin, end = self._joint_vector("start", start), self._joint_vector("goal", goal)
+        begin, end = self._joint_vector("start", start, OUTSIDE), self._joint_vector("goal", goal)
         self._check_request(request)
         _require_free(begin, world, "the start")
         _require_free(end, world, "the goal")
@@ -161,24 +162,27 @@ class Planner:
         the nearest ones that are free.
         """
         began = self._clock()
-        begin = self._joint_vector("start", start)
+        begin = self._joint_vector("start", start, OUTSIDE)
         self._check_request(request)
         _require_free(begin, world, "the start")
         wanted = Configuration.parse(configuration) if configuration.strip() else None
-        goals = [solution.q for solution in self._solver.all(pose, begin, wanted)]
+        goals = [solution.q for solution in self._solver.all(pose, self._in_range(begin), wanted)]
         free = [goal for goal in goals if world.is_free(goal)]
         if not free:
             _require_free(goals[0], world, Sentence("the goal"))
         return self._plan(begin, free, request, world, began)
 
-    def _joint_vector(self, name: str, values: JointValues) -> np.ndarray:
+    def _joint_vector(self, name: str, values: JointValues, beyond: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
         q = np.array(values, dtype=np.float64)
         joints = len(self._robot.joint_names)
         if q.shape != (joints,):
             names = ", ".join(self._robot.joint_names)
             raise PlanningError(f"{name} has {q.size} values; expected {joints}, one for each of {names}")
-        self._robot.check_range(q)
+        self._robot.check_range(q, beyond)
         return q
+
+    def _in_range(self, q: np.ndarray) -> np.ndarray:
+        return np.clip(q, self._robot.lower, self._robot.upper)
 
     def _check_request(self, request: PlanRequest) -> None:
         speed = 1.0 if request.speed_scale is None else request.speed_scale
@@ -205,14 +209,16 @@ class Planner:
                 if timed is not None:
                     return DIRECT, *timed
         goals = goals[:GOALS]
-        lower, upper = self._bounds(start, goals)
+        inside = self._in_range(start)
+        lower, upper = self._bounds(inside, goals)
         attempt = 0
         while (left := settings.planning_budget - (self._clock() - began)) > 0.0:
-            query = PathQuery(start, goals, validator, lower, upper, settings.seed + attempt)
+            query = PathQuery(inside, goals, validator, lower, upper, settings.seed + attempt)
             try:
                 path = self._search.find(query, left)
             except NoPathError as error:
                 raise NoPathError(self._search.name, self._clock() - began) from error
+            path[0] = start
             timed = self._timed(path, request, world)
             if timed is not None:
                 return self._search.name, *timed

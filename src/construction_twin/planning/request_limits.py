@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from construction_twin.core.limits import OUTSIDE
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.planning.limit_usage import SAME_POINT
 from construction_twin.robot.description import RobotModel
@@ -83,8 +84,8 @@ def check_path(path: np.ndarray, robot: RobotModel) -> np.ndarray:
         row, joint = np.argwhere(~np.isfinite(path))[0]
         found = f"{robot.joint_names[joint]} is {path[row, joint]}, not a finite number"
         raise TrajectoryError(f"point {row} of the path: {found}")
-    for point in path[np.any((path < robot.lower) | (path > robot.upper), axis=1)]:
-        robot.check_range(point)
+    for row in np.flatnonzero(np.any((path < robot.lower) | (path > robot.upper), axis=1)):
+        robot.check_range(path[row], (0.0, 0.0) if row else OUTSIDE)
     apart = distinct(path)
     if not np.any(apart[1:]):
         raise TrajectoryError(Sentence("the arm is already there: the path's points are all the same; nothing to plan"))

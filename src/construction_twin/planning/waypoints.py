@@ -13,7 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from construction_twin.core.limits import OUTSIDE
 from construction_twin.core.sentences import Sentence
+from construction_twin.core.units import axis_name
 from construction_twin.planning.limit_usage import range_excess, sampled_usage
 from construction_twin.planning.request_limits import PlanBounds
 from construction_twin.planning.timing import TimedPath, time_path, timed_path
@@ -39,6 +41,8 @@ class WaypointTimesError(WaypointsError):
 #: Largest difference of the first waypoint from the arm's pose, which then replaces the first waypoint.
 START_TOLERANCE_RAD = math.radians(0.05)
 START_TOLERANCE_M = 5e-4
+#: Consecutive points no further apart than this, and at one time where they have times, are one [rad], [m].
+DOUBLED = 1e-6
 #: Largest velocity and acceleration that count as rest at both ends [rad/s, rad/s^2 or m/s, m/s^2].
 AT_REST = 1e-6
 #: An end counts as rest that was told late when no joint is faster there than its largest acceleration makes it in this time [s].
@@ -195,6 +199,18 @@ def plan_waypoints(
     return trajectory
 
 
+def wrapped_note(waypoints: Waypoints, present: JointValues, robot: RobotModel) -> str:
+    """Return which joint turns by more than half a turn from one point to the next, as wrapped angles make it; "": none."""
+    turns = np.abs(np.diff(np.vstack([present, waypoints.positions]), axis=0))
+    found = np.argwhere((turns > math.pi) & ~np.array(robot.linear))
+    if not len(found):
+        return ""
+    row, joint = found[0]
+    more = f", {len(found) - 1} more" if len(found) > 1 else ""
+    turn, axis = math.degrees(turns[row, joint]), axis_name(robot.joint_names[joint])
+    return f"{axis} turns by {turn:.0f} deg {waypoints.way_to(int(row))}{more}: wrapped angles?"
+
+
 def asked_path(waypoints: Waypoints, present: JointValues, robot: RobotModel) -> Waypoints:
     """Return waypoints with times, checked but for what times can mend: from the present pose, at 0 s."""
     path = _from_here(waypoints, present, robot, PlanBounds())
@@ -233,9 +249,10 @@ def _point_array(name: str, values, points: int, joints: int) -> np.ndarray:
 
 def _check_ranges(waypoints: Waypoints, robot: RobotModel) -> None:
     lower, upper = np.array(robot.lower), np.array(robot.upper)
-    outside = np.argwhere((waypoints.positions < lower) | (waypoints.positions > upper))
+    # the first is the present pose
+    outside = np.argwhere((waypoints.positions[1:] < lower) | (waypoints.positions[1:] > upper))
     if len(outside):
-        row, joint = outside[0]
+        row, joint = outside[0] + (1, 0)
         name, unit, value = robot.joint_names[joint], waypoints.units[joint], waypoints.positions[row, joint]
         limit = robot.lower[joint] if value < robot.lower[joint] else robot.upper[joint]
         span = f"{unit.text(robot.lower[joint])} to {unit.text(robot.upper[joint])}"
@@ -246,12 +263,38 @@ def _check_ranges(waypoints: Waypoints, robot: RobotModel) -> None:
 def _from_here(waypoints: Waypoints, present: JointValues, robot: RobotModel, bounds: PlanBounds) -> Waypoints:
     """Return checked waypoints that begin exactly at the present pose; a single one is the goal of a motion from there."""
     bounds.check(0.0, len(waypoints.rows))
-    robot.check_range(present)
-    _check_ranges(waypoints, robot)
+    robot.check_range(present, OUTSIDE)
     here = np.array(present, dtype=float)
+    waypoints = _without_doubles(waypoints)
     if len(waypoints.positions) == 1:
         waypoints = _goal_from(waypoints, here)
-    return replace(waypoints, positions=_from_present(waypoints, here, robot))
+    waypoints = replace(waypoints, positions=_from_present(waypoints, here, robot))
+    _check_ranges(waypoints, robot)
+    return waypoints
+
+
+def _without_doubles(waypoints: Waypoints) -> Waypoints:
+    """Return waypoints with consecutive ones that are `DOUBLED` joined to the first, at the end to the last."""
+    positions, times = waypoints.positions, waypoints.times
+    kept = [0]
+    for row in range(1, len(positions)):
+        if np.max(np.abs(positions[row] - positions[kept[-1]])) > DOUBLED or (
+            times is not None and times[row] != times[kept[-1]]
+        ):
+            kept.append(row)
+    kept[-1] = len(positions) - 1
+
+    def joined(values: np.ndarray | None) -> np.ndarray | None:
+        return None if values is None else values[kept]
+
+    return replace(
+        waypoints,
+        rows=tuple(waypoints.rows[row] for row in kept),
+        positions=positions[kept],
+        times=joined(times),
+        velocities=joined(waypoints.velocities),
+        accelerations=joined(waypoints.accelerations),
+    )
 
 
 def _goal_from(goal: Waypoints, present: np.ndarray) -> Waypoints:

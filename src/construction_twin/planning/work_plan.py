@@ -12,6 +12,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from construction_twin.core.errors import ConstructionTwinError
+from construction_twin.core.limits import OUTSIDE
 from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.planning.limit_usage import SAME_POINT
@@ -175,7 +176,7 @@ def _parts(segments: Sequence[WorkSegment], present: JointValues, robot: RobotMo
     begin = np.array(present, dtype=float)
     for number, item in enumerate(segments):
         with in_segment(number, item.name):
-            robot.check_range(begin)
+            robot.check_range(begin, (0.0, 0.0) if number else OUTSIDE)
             parts.append(_from_rest_to_rest(item.trajectory, begin, robot, at_present=number == 0))
             begin = parts[-1].positions[-1]
     return parts

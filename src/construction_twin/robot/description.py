@@ -106,12 +106,12 @@ class RobotModel:
     other_joints: tuple[OtherJoint, ...] = ()
     estimates: tuple[str, ...] = ()
 
-    def check_range(self, q: JointValues) -> None:
-        """Raise JointRangeError for the first joint outside its range; nan is outside every range."""
+    def check_range(self, q: JointValues, beyond: tuple[float, float] = (0.0, 0.0)) -> None:
+        """Raise JointRangeError for the first joint outside its range by more than `beyond` [rad], [m], or nan."""
         if len(q) != len(self.joint_names):
             raise ValueError(f"{len(q)} joint values for {len(self.joint_names)} joints of {self.name}")
         for joint, value, lower, upper, linear in zip(self.joint_names, q, self.lower, self.upper, self.linear):
-            if not lower <= value <= upper:
+            if not lower - beyond[linear] <= value <= upper + beyond[linear]:
                 raise JointRangeError(joint, float(value), lower, upper, linear)
 
 

@@ -50,7 +50,7 @@ class Plan:
 
     Attributes:
         hash: See `content_hash`.
-        planner: Name of an OMPL planner, ``direct``, ``cartesian``, ``waypoints``, ``work``, ``way back``.
+        planner: Name of an OMPL planner, ``direct``, ``cartesian``, ``waypoints`` (with a note), ``work``, ``way back``.
         scene: Hash of the scene it was checked against.
         asked: A stop after this moment voids it.
         planning_time: Without `PlanReport.recheck_time` [s].

@@ -38,7 +38,8 @@ _POSES = ("DEF_RIst", "DEF_RSol", "DEF_AIPos", "DEF_ASPos", "DEF_EIPos", "DEF_ES
 #: What the gateway reads of the position blocks, by DEF_; those of external axes where there are any.
 _MEANING = {
     "AIPos": "the measured axes",
-    "ASPos": "the pose that corrections are relative to",
+    "ASPos": "the pose that corrections are relative to, by which it also shows whether a session was joined while it ran; a file "
+    "without it, as kuka_drivers', is for corrections relative to AIPos (`reference: AIPos`): add it, on the controller too",
     "EIPos": "the measured external axes",
     "ESPos": "the external axes' programmed position",
 }
@@ -66,11 +67,14 @@ def load_ethernet_xml(path: str | Path) -> EthernetXml:
     """Read a file; EthernetXmlError when it is missing, too large or does not fit."""
     try:
         with open(path, "rb") as file:
-            text = file.read(MAX_BYTES + 1).decode("utf-8-sig")
+            data = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise EthernetXmlError(str(path), "file", error.strerror, "a readable RSI Ethernet XML") from error
-    except UnicodeDecodeError as error:
-        raise EthernetXmlError(str(path), "file", str(error), "text in UTF-8") from error
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        # windows-1252 and its like, declared or not: what is read of a file is ASCII, the rest stands in comments
+        text = data.decode("latin-1")
     return read_ethernet_xml(text, str(path))
 
 

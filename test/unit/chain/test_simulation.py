@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import random
 
 import numpy as np
 import pytest
-from chain_samples import REACH, ROBOT, assert_corrections_inside_limits, make_chain, make_plan, play_to_the_end
+from chain_samples import (
+    REACH,
+    ROBOT,
+    SETTINGS,
+    assert_corrections_inside_limits,
+    make_chain,
+    make_plan,
+    play_to_the_end,
+)
 from simulation import SimulatedChain, SimulatedLink
 
 from construction_twin.core.units import CYCLE
@@ -16,7 +25,9 @@ from construction_twin.evaluation.tables import error_table, paper_error
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.gateway.playout_rate import CALM
 from construction_twin.link.observations import LinkState
+from construction_twin.mock.program import MockSettings, build_controller
 from construction_twin.monitor.states import SyncState
+from construction_twin.ros.nodes.rsi_gateway import gateway_config
 
 
 def table(chain: SimulatedChain) -> tuple[dict, float]:
@@ -152,6 +163,20 @@ def test_a_controller_restart_at_another_pose_captures_a_new_origin_and_waits_fo
     assert chain.run_until(lambda: chain.ready, 5.0), chain.supervisor.reason
     assert np.abs(np.array(chain.twin.pose) - pose).max() <= math.radians(0.5e-3) + 1e-12
     assert set(chain.corrections[-1][1]) <= {0.0} or max(map(abs, chain.corrections[-1][1])) <= math.radians(0.5e-3)
+
+
+def test_an_arm_that_stands_a_hair_outside_its_range_stands_until_its_plan_brings_it_in():
+    robot = dataclasses.replace(ROBOT, upper=(ROBOT.home[0] - math.radians(0.03), *ROBOT.upper[1:]))
+    mock = build_controller(MockSettings(gateway_host="simulated", gateway_port=1, servo="ideal", cycle=4), ROBOT)
+    chain = SimulatedChain(robot, gateway_config(robot, SETTINGS | {"decimals": 3}), mock)
+    assert chain.run_until(lambda: chain.ready and chain.gate.state is SyncState.IN_SYNC, 5.0), chain.gate.reason
+    chain.run_for(1.0)
+    assert np.abs([correction for _, correction in chain.corrections]).max() < 1e-9
+    goal = (ROBOT.home[0] - 0.3, *ROBOT.home[1:])
+    play_to_the_end(chain, make_plan(chain, goal, robot))
+    assert np.abs(np.array(chain.controller.measured) - goal).max() <= math.radians(0.5e-3)
+    assert max(correction[0] for _, correction in chain.corrections) < 1e-9
+    assert chain.gate.refused == chain.gateway.counters["settling"] == 0
 
 
 @pytest.mark.parametrize("speed_scale", [0.3, 1.0])

@@ -127,8 +127,8 @@ def test_a_target_outside_the_range_ends_at_rest_at_the_end_of_the_range(target,
     assert watched.follower.settling
 
 
-@pytest.mark.parametrize("target, end", [(0.1, 0.1), (0.17, 0.15)])
-def test_a_start_outside_the_range_moves_inwards_only(target, end):
+@pytest.mark.parametrize("target, end", [(0.1, 0.1), (0.155, 0.155), (0.16, 0.16), (0.17, 0.16)])
+def test_a_start_outside_the_range_stands_or_moves_inwards(target, end):
     follower = Follower(LIMITS, 3, (0.16, 0.0))
     positions = [follower.follow((target, 0.0))[0] for _ in range(600)]
     assert all(later <= earlier for earlier, later in zip([0.16, *positions], positions))

@@ -68,6 +68,21 @@ def test_what_is_not_one_number_per_joint_has_no_range(q):
     assert refusal(LIMITS.check_range, q).reason == "values"
 
 
+def test_from_a_start_a_hair_outside_a_joint_may_stay_or_come_in_and_nothing_else():
+    outside = 3.0 + math.radians(0.04)
+    check = MotionCheck(LIMITS, DECIMALS)
+    check.start(0, (outside, 0.0))
+    check.accept(CYCLE_NS, (outside, 0.0))
+    inwards = outside - 2e-5
+    check.accept(2 * CYCLE_NS, (inwards, 0.0))
+    for q in ((inwards + 1e-6, 0.0), (inwards, 1.0 + 1e-6)):
+        assert refusal(check.accept, 3 * CYCLE_NS, q).reason == "range"
+    for over, linear in ((math.radians(0.06), False), (math.radians(0.05), True)):
+        limits = MotionLimits(("A1",), (-3.0,), (3.0,), (2.0,), (2.5,), (linear,))
+        for far in (3.0 + over, -3.0 - over):
+            assert refusal(limits.check_range, (far,), (far,)).reason == "range"
+
+
 def test_tolerance_names_the_first_joint_beyond_it_and_includes_its_bound():
     assert outside_tolerance((1.0, 2.0), (1.5, 2.0), 0.5) is None
     assert outside_tolerance((1.0, 2.0, 9.0), (1.5, 3.0, 0.0), 0.5) == 1

@@ -101,12 +101,35 @@ def test_the_tolerance_is_measured_from_the_held_pose_not_from_the_measured_one(
     assert cell.state is State.FOLLOWING
 
 
-def test_a_stream_that_begins_outside_the_range_is_refused():
-    cell = Cell(start=(0.5, 0.0))
+def test_a_stream_that_begins_further_outside_the_range_than_an_encoder_reads_is_refused():
+    cell = Cell(start=(0.5 + math.radians(0.02), 0.0))
     cell.cycle()
     cell.arm()
-    cell.send((0.5 + math.radians(0.002), 0.0))
+    cell.send((0.5 + math.radians(0.052), 0.0))
     assert (cell.state, cell.count("refused_range")) == (State.ARMED, 1)
+
+
+@pytest.mark.parametrize("held, begin", [(0.0, 0.002), (0.02, 0.02), (0.03, 0.032)])
+def test_from_a_hair_outside_the_range_the_arm_stands_or_comes_in(held, begin):
+    cell = Cell(start=(0.5 + math.radians(held), 0.0))
+    cell.cycle()
+    cell.arm()
+    begins = 0.5 + math.radians(begin)
+    cell.stream([(begins, 0.0)] * 100)
+    assert cell.state is State.FOLLOWING and set(cell.replies) == {(0.0, 0.0)}
+    cell.stream([(begins - 0.05 * (1 - math.cos(2.0 * k * CYCLE)), 0.0) for k in range(300)])
+    assert cell.state is State.FOLLOWING and cell.measured[0] < 0.5
+    corrections = [reply[0] for reply in cell.replies]
+    assert all(later <= earlier + 1e-12 for earlier, later in zip(corrections, corrections[1:]))
+
+
+def test_outside_the_range_no_target_goes_further_out():
+    cell = Cell(start=(0.5 + math.radians(0.02), 0.0))
+    cell.cycle()
+    cell.arm()
+    cell.stream([cell.measured] * 100)
+    cell.send((0.5 + math.radians(0.022), 0.0))
+    assert (cell.state, cell.count("refused_range")) == (State.BRAKING, 1)
 
 
 # -- refusals --------------------------------------------------------------------------------------------------------

@@ -265,6 +265,20 @@ def test_times_that_break_a_limit_are_replaced_only_where_that_is_allowed_and_th
     assert (kept.planner, kept.retimed, kept.trajectory.duration) == ("waypoints", "", 30.0)
 
 
+def test_a_turn_of_wrapped_angles_is_noted_with_its_size():
+    there, wrapped = HOME.copy(), HOME.copy()
+    there[5], wrapped[5] = np.radians([179.0, -179.0])
+    note = "A6 turns by 358 deg between point 1 and point 2: wrapped angles?"
+    points = from_points(ROBOT, ROBOT.joint_names, [HOME, there, wrapped])
+    assert pipeline().through(HOME, points, REQUEST).planner == f"waypoints ({note})"
+    timed = from_points(ROBOT, ROBOT.joint_names, [HOME, there, wrapped], times=[0.0, 30.0, 60.0], velocities=None)
+    assert pipeline().through(HOME, timed, REQUEST, retime=True).planner.startswith(f"waypoints ({note})")
+    goal = from_points(ROBOT, ROBOT.joint_names, [wrapped])
+    assert "A6 turns by 358 deg on the way to point 0" in pipeline().through(there, goal, REQUEST).planner
+    half = from_points(ROBOT, ROBOT.joint_names, [HOME, there, HOME])
+    assert pipeline().through(HOME, half, REQUEST).planner == "waypoints"
+
+
 def test_many_points_whose_times_were_rounded_are_kept_by_the_last_check_too():
     x = np.linspace(0.0, 1.0, 4000)
     rows = HOME + np.outer(x**3 * (10.0 - 15.0 * x + 6.0 * x**2), np.full(6, 0.3))

@@ -2,16 +2,36 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pydantic
 import pytest
 import yaml
 from limit_use import limit_use
-from planning_cell import CHAIN, HOME, QUICK, REQUEST, ROBOT, ROOT, planner, world
+from planning_cell import (
+    CHAIN,
+    HOME,
+    LEFT,
+    QUICK,
+    REQUEST,
+    RIGHT,
+    ROBOT,
+    ROOT,
+    SELF_COLLISION,
+    WALL,
+    Clock,
+    planner,
+    world,
+)
 
 from construction_twin.core.freshness import Moment
-from construction_twin.planning.planner import PlannerSettings, PlanRequest
+from construction_twin.kinematics.chain import Chain
+from construction_twin.kinematics.inverse import inverse_kinematics
+from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
 from construction_twin.robot.motion_errors import JointRangeError, PlanningError, TrajectoryError
+from construction_twin.scene.collision_world import CollisionWorld
+from construction_twin.scene.objects import Scene
 
 GOAL = HOME + np.array([0.9, 0.4, -0.5, 1.0, -0.6, 2.0])
 EMPTY = world()
@@ -64,6 +84,23 @@ def test_an_end_out_of_range_names_the_joint(end):
     ends = (outside, GOAL) if end == "start" else (HOME, outside)
     with pytest.raises(JointRangeError, match="joint_a6"):
         planner().plan_to_joints(*ends, REQUEST, EMPTY)
+
+
+@pytest.mark.parametrize("objects", [(), (WALL,)], ids=["direct", "search"])
+def test_from_a_hair_outside_its_range_the_arm_comes_in(objects):
+    robot = dataclasses.replace(ROBOT, lower=(RIGHT[0] + np.radians(0.04), *ROBOT.lower[1:]))
+    made = Planner(robot, inverse_kinematics(Chain(robot)), PlannerSettings(**QUICK), Clock())
+    cell = CollisionWorld(robot, Scene(objects, 0.01), SELF_COLLISION)
+    pose = CHAIN.forward(LEFT)
+    for plan in (made.plan_to_joints(RIGHT, LEFT, REQUEST, cell), made.plan_to_pose(RIGHT, pose, REQUEST, cell)):
+        motion = plan.trajectory
+        assert motion.positions[0].tobytes() == RIGHT.tobytes()
+        a1 = motion.sample_many(np.arange(0.0, motion.duration, 0.004))[0][:, 0]
+        came_in = int(np.argmax(a1 >= robot.lower[0]))
+        assert np.all(np.diff(a1[: came_in + 1]) >= -1e-12) and np.all(a1[came_in:] >= robot.lower[0] - 1e-9)
+    for ends in ((RIGHT - np.radians([0.02, 0, 0, 0, 0, 0]), LEFT), (LEFT, RIGHT)):
+        with pytest.raises(JointRangeError, match="joint_a1"):
+            made.plan_to_joints(*ends, REQUEST, cell)
 
 
 @pytest.mark.parametrize("joint", range(6))

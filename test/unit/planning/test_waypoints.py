@@ -115,6 +115,47 @@ def test_a_first_waypoint_close_to_the_arm_is_where_the_arm_is():
     assert motion.positions[0].tobytes() == present.tobytes()
 
 
+def test_points_that_are_doubled_within_rounding_are_one():
+    def motion(rows, **values):
+        return plan_waypoints(from_points(ROBOT, NAMES, rows, **values), HOME, ROBOT)
+
+    once = motion(ROWS)
+    for noise in (0.0, 1e-9, 9e-7):
+        doubled = [row for row in ROWS for row in (row, row + noise)]
+        assert motion(doubled).duration == pytest.approx(once.duration, rel=1e-5)
+    # points that are close, but go somewhere, stay
+    np.testing.assert_allclose(
+        motion(np.linspace(HOME, HOME + 1e-4, 400)).positions[-1], HOME + 1e-4, rtol=0, atol=1e-12
+    )
+    times = [0.0, 2.0, 4.0, 7.0]
+    doubled_times = [time for time in times for _ in (0, 1)]
+    assert motion(np.repeat(ROWS, 2, axis=0), times=doubled_times).times.tolist() == times
+    # at another time it is a pause
+    rows = ROWS[[0, 1, 1, 2]]
+    assert motion(rows, times=times).times.tolist() == times
+
+
+def test_messages_count_doubled_points():
+    rows = np.repeat(ROWS, 2, axis=0)
+    rows[5, 1] = 9.0
+    assert refused(rows).row == 5
+
+
+def test_from_a_hair_outside_its_range_the_arm_comes_in():
+    robot = dataclasses.replace(ROBOT, lower=(HOME[0] + math.radians(0.04), *ROBOT.lower[1:]))
+    inside = from_points(robot, NAMES, [HOME, HOME + 0.1, HOME + 0.2])
+    assert plan_waypoints(inside, HOME, robot).positions[0].tobytes() == HOME.tobytes()
+    timed = from_points(robot, NAMES, [HOME, HOME + 0.1, HOME + 0.2], times=[0.0, 2.0, 4.0])
+    assert plan_waypoints(timed, HOME, robot).times.tolist() == [0.0, 2.0, 4.0]
+    back = from_points(robot, NAMES, [HOME, HOME + 0.1, HOME])
+    with pytest.raises(WaypointsError, match="point 2: joint_a1 is 0 rad; its range is"):
+        plan_waypoints(back, HOME, robot)
+    # no sample goes further out than the start
+    swing = from_points(robot, NAMES, [HOME, HOME + 1e-3, HOME + 0.2], times=[0.0, 2.0, 4.0])
+    with pytest.raises(WaypointsError, match="joint_a1 overshoots its range"):
+        plan_waypoints(swing, HOME, robot)
+
+
 def test_a_first_waypoint_elsewhere_is_refused():
     present = HOME - [0, 0, 0.5, 0, 0, 0]
     error = refused(ROWS, present)

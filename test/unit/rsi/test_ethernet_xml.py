@@ -101,6 +101,41 @@ ROS_INDUSTRIAL = "".join(
 )  # fmt: skip
 
 
+#: What stands in the file of kuka_drivers: no DEF_ASPos, because its driver's corrections are relative to AIPos; another SENTYPE.
+KUKA_DRIVERS = "".join(
+    (
+        "<ROOT><CONFIG><IP_NUMBER>192.168.1.25</IP_NUMBER><PORT>59152</PORT><SENTYPE>KROSHU</SENTYPE>",
+        "<ONLYSEND>FALSE</ONLYSEND></CONFIG><SEND><ELEMENTS>",
+        '<ELEMENT TAG="DEF_RIst" TYPE="DOUBLE" INDX="INTERNAL" /><ELEMENT TAG="DEF_AIPos" TYPE="DOUBLE" INDX="INTERNAL" />',
+        '<ELEMENT TAG="DEF_Delay" TYPE="LONG" INDX="INTERNAL" /></ELEMENTS></SEND><RECEIVE><ELEMENTS>',
+        *(f'<ELEMENT TAG="AK.A{axis}" TYPE="DOUBLE" INDX="{axis}" HOLDON="1" />' for axis in range(1, 7)),
+        '<ELEMENT TAG="Stop" TYPE="BOOL" INDX="7" HOLDON="0" /></ELEMENTS></RECEIVE></ROOT>',
+    )
+)
+
+
+def test_of_the_file_of_kuka_drivers_is_said_by_name_what_differs():
+    error = refusal(KUKA_DRIVERS)
+    assert error.element == "SEND DEF_ASPos"
+    assert "kuka_drivers" in error.expected and "`reference: AIPos`" in error.expected
+    aspos = '<ELEMENT TAG="DEF_ASPos" TYPE="DOUBLE" INDX="INTERNAL" />'
+    check_gateway(
+        read_ethernet_xml(KUKA_DRIVERS.replace("</ELEMENTS>", f"{aspos}</ELEMENTS>", 1), "eth").layout, AXES, "eth"
+    )
+
+
+@pytest.mark.parametrize(
+    "codec, declared",
+    [("latin-1", "ISO-8859-1"), ("cp1252", "windows-1252"), ("cp1252", ""), ("utf-8-sig", "UTF-8"), ("utf-8", "")],
+)
+def test_a_file_is_read_in_the_encodings_of_editors(tmp_path, codec, declared):
+    path = tmp_path / "eth.xml"
+    declaration = f'<?xml version="1.0" encoding="{declared}"?>' if declared else ""
+    letters = "Prüfstand" if codec == "latin-1" else "Prüfstand – 5 €"
+    path.write_bytes(f"{declaration}<!-- {letters} -->{TEXT}".encode(codec))
+    assert load_ethernet_xml(path) == read_ethernet_xml(TEXT, "eth.xml")
+
+
 def test_the_file_of_the_ros_industrial_driver_is_used_as_it_is():
     ethernet = read_ethernet_xml(ROS_INDUSTRIAL, "ros_rsi_ethernet.xml")
     layout = ethernet.layout

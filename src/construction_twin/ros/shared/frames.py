@@ -34,6 +34,19 @@ class FrameError(PlanningError):
         super().__init__(f"no transform from frame {frame!r} to {base!r}: {cause}; known are {listed}")
 
 
+class StampError(PlanningError):
+    """A stamp is not of this machine's clock."""
+
+    def __init__(self, frame: str, away: float):
+        where = "ahead of" if away > 0.0 else "behind"
+        super().__init__(
+            f"the stamp of {frame!r} is {abs(away):.1f} s {where} this machine's clock; set the sender's clock by this one's "
+            "(chrony), or send stamp 0 for where the frame is now"
+        )
+
+
+#: A stamp that tf has no frames of is called one of another clock from this difference on [s]; a frame is waited for a second.
+OTHER_CLOCK = 2.0
 #: Who publishes the frames of a robot's trees, by the tree's name, in the robot's namespace.
 PUBLISHERS = {"twin": ("robot_state_publisher", "display"), "physical": ("display",), "preview": ("display",)}
 #: Trees for people to look at, ignored here: of a simulated pose, and of where the servos should have the arm.
@@ -120,6 +133,7 @@ class Frames:
 
     def tf_name(self, frame: str) -> str:
         """Return the tf frame that a person means: a link by its URDF name is the twin's, as commanded; empty is the base."""
+        frame = frame.removeprefix("/")  # as in the first tf
         return self._links.get(frame, frame) if frame else self.base
 
     def in_base(self, frame: str, stamp: rospy.Time) -> Pose:
@@ -131,6 +145,9 @@ class Frames:
             found = self._buffer.lookup_transform(self.base, name, stamp, self._timeout)
             return pose_from_transform_msg(found.transform)
         except tf2_ros.TransformException as error:
+            away = (stamp - rospy.Time.now()).to_sec()
+            if isinstance(error, tf2_ros.ExtrapolationException) and not stamp.is_zero() and abs(away) > OTHER_CLOCK:
+                raise StampError(frame, away) from error
             raise FrameError(frame, self.base, str(error), (*self._links, *self._others())) from error
 
     def _others(self) -> tuple[str, ...]:
