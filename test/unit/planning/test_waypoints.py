@@ -120,9 +120,9 @@ def test_points_that_are_doubled_within_rounding_are_one():
         return plan_waypoints(from_points(ROBOT, NAMES, rows, **values), HOME, ROBOT)
 
     once = motion(ROWS)
-    for noise in (0.0, 1e-9, 9e-7):
+    for noise in (0.0, 1e-9, 1e-6):
         doubled = [row for row in ROWS for row in (row, row + noise)]
-        assert motion(doubled).duration == pytest.approx(once.duration, rel=1e-5)
+        assert motion(doubled).duration == pytest.approx(once.duration, rel=1e-3)
     # points that are close, but go somewhere, stay
     np.testing.assert_allclose(
         motion(np.linspace(HOME, HOME + 1e-4, 400)).positions[-1], HOME + 1e-4, rtol=0, atol=1e-12

@@ -145,9 +145,10 @@ class Frames:
             found = self._buffer.lookup_transform(self.base, name, stamp, self._timeout)
             return pose_from_transform_msg(found.transform)
         except tf2_ros.TransformException as error:
-            away = (stamp - rospy.Time.now()).to_sec()
-            if isinstance(error, tf2_ros.ExtrapolationException) and not stamp.is_zero() and abs(away) > OTHER_CLOCK:
-                raise StampError(frame, away) from error
+            if isinstance(error, tf2_ros.ExtrapolationException) and not stamp.is_zero():
+                away = (stamp - rospy.Time.now()).to_sec()
+                if abs(away) > OTHER_CLOCK:
+                    raise StampError(frame, away) from error
             raise FrameError(frame, self.base, str(error), (*self._links, *self._others())) from error
 
     def _others(self) -> tuple[str, ...]:
