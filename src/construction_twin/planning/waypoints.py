@@ -41,7 +41,7 @@ class WaypointTimesError(WaypointsError):
 #: Largest difference of the first waypoint from the arm's pose, which then replaces the first waypoint.
 START_TOLERANCE_RAD = math.radians(0.05)
 START_TOLERANCE_M = 5e-4
-#: Consecutive points no further apart than this, and at one time where they have times, are one [rad], [m]: of six decimals the last.
+#: Consecutive points no further apart, and at one time where they have times, are one [rad], [m]: the last of six decimals.
 DOUBLED = 1.01e-6
 #: Largest velocity and acceleration that count as rest at both ends [rad/s, rad/s^2 or m/s, m/s^2].
 AT_REST = 1e-6
