@@ -14,8 +14,7 @@ from piece_checks import points_on
 
 from construction_twin.extensions.work import element_bodies
 from construction_twin.extensions.work.building import Body, Element
-from construction_twin.extensions.work.convex_bodies import ElementPieces
-from construction_twin.extensions.work.element_bodies import ElementShape, element_shapes
+from construction_twin.extensions.work.element_bodies import ElementPieces, ElementShape, element_shapes
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.collision_bodies import scene_geometry
 from construction_twin.scene.solids import mesh_of

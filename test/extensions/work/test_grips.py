@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from work_samples import BRICK, recipes, tool
 
-from construction_twin.extensions.work.convex_bodies import ElementPieces
+from construction_twin.extensions.work.element_bodies import ElementPieces
 from construction_twin.extensions.work.place.grips import find_grips
 from construction_twin.kinematics.chain import Pose
 from construction_twin.scene.objects import SceneObject, product

@@ -8,11 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ifc_models import IfcModel, noted, remarked, two_studs
 
-from construction_twin.extensions.work.errors import BuildingError
+from construction_twin.extensions.work.building import BuildingError, workpieces
 from construction_twin.extensions.work.ifc.reader import read_ifc
-from construction_twin.extensions.work.proposed_schedule import propose
-from construction_twin.extensions.work.schedule import Schedule
-from construction_twin.extensions.work.wholes import workpieces
+from construction_twin.extensions.work.schedule import Schedule, propose
 
 BOARD = (1.2, 2.4, 0.0125)
 LITRES = 36.0

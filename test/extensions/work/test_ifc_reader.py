@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ifc_models import IfcModel, noted
 
-from construction_twin.extensions.work.wholes import workpieces
+from construction_twin.extensions.work.building import workpieces
 
 SCHEMAS = ("IFC2X3", "IFC4", "IFC4X3")
 

@@ -6,9 +6,8 @@ from building_models import box, building, element
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from construction_twin.extensions.work.errors import ScheduleError
-from construction_twin.extensions.work.proposed_schedule import propose
-from construction_twin.extensions.work.schedule import Schedule
+from construction_twin.extensions.work.building import ScheduleError
+from construction_twin.extensions.work.schedule import Schedule, propose
 
 
 def order(model):

@@ -78,11 +78,6 @@ def test_a_slot_of_a_grid_is_filled_again_when_it_is_empty(tmp_path):
     assert np.allclose(feet(found)[0], feet(found)[2])
 
 
-def test_a_rack_in_the_models_frame_goes_with_the_model(tmp_path):
-    rack = {**RACK, "frame": "model", "at": {"xyz": [0, 0, 0]}}
-    assert np.allclose(feet(stock(tmp_path, rack))[0], (0, 1.6, 0.6))
-
-
 def test_more_elements_than_slots_are_one_sentence(tmp_path):
     with pytest.raises(ConfigurationError, match=r"racks/r: .*2 slots for 3 elements, none for 'b2' \(b2\)"):
         stock(tmp_path, {**RACK, "columns": 2})
@@ -96,20 +91,10 @@ def test_an_element_without_a_rack_is_one_sentence(tmp_path):
         stock(tmp_path, {**RACK, "holds": {"elements": ["b0", "b2"]}})
 
 
-def test_the_base_may_be_an_element_of_the_model(tmp_path):
-    base = element("robot", (1.0, 2.0, 0.0))
-    model = building(element("b", (1.5, 3.6, 0.6)), base)
-    found = work_cell(tmp_path, {"model_T_base": None, "base_element": "robot"})
-    assert np.allclose(layout(found, model).base_T_goal("b").position, (0.5, 1.6, 0.6))
-    with pytest.raises(ConfigurationError, match="base_element.*0 have this name"):
-        layout(found, bricks(1))
-
-
 @pytest.mark.parametrize(
     ("cell", "sentence"),
     [
-        ({"base_element": "robot"}, "either model_T_base or base_element"),
-        ({"model_T_base": None}, "either model_T_base or base_element"),
+        ({"model_T_base": None}, "model_T_base"),
         ({"supports": ["bench"]}, "supports.*bench.*floor, rack, table"),
         ({"racks": {"r": {**RACK, "surface": "bench"}}}, "racks/r/surface"),
         ({"racks": {"r": {**RACK, "pitsch": 1}}}, "no such key"),

@@ -9,8 +9,7 @@ import pytest
 from processes import ROOT
 
 from construction_twin.extensions.work.ifc.reading import read_building
-from construction_twin.extensions.work.proposed_schedule import propose
-from construction_twin.extensions.work.schedule import Schedule
+from construction_twin.extensions.work.schedule import Schedule, propose
 
 
 @pytest.fixture(scope="module", params=["timber_panel", "brick_wall"])

@@ -8,8 +8,7 @@ from building_models import box, building, element
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from construction_twin.extensions.work.building import Sequence, Task
-from construction_twin.extensions.work.errors import ScheduleError
+from construction_twin.extensions.work.building import ScheduleError, Sequence, Task
 from construction_twin.extensions.work.schedule import Schedule
 
 KINDS = ("FINISH_START", "START_START", "FINISH_FINISH", "START_FINISH")

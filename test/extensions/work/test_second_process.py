@@ -27,9 +27,8 @@ from work_samples import (
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.extensions.work import decisions, process
-from construction_twin.extensions.work.errors import LedgerError
 from construction_twin.extensions.work.layout import StockPlan
-from construction_twin.extensions.work.ledger import Ledger
+from construction_twin.extensions.work.ledger import Ledger, LedgerError
 from construction_twin.extensions.work.loaded_model import LoadedModel
 from construction_twin.extensions.work.process import read_recipes
 from construction_twin.extensions.work.received_messages import GripReading

@@ -42,10 +42,10 @@ def test_what_an_element_of_the_work_touches_may_be_one_that_stands(tmp_path):
     assert "wall/0" in layout.job_for("b", layout.scene()).supports
 
 
-def test_what_the_work_is_part_of_the_base_and_what_is_far_away_do_not_stand(tmp_path):
-    at = work_cell(tmp_path, {"model_T_base": None, "base_element": "base"})
+def test_what_the_work_is_part_of_and_what_is_far_away_do_not_stand(tmp_path):
+    at = work_cell(tmp_path)
     part = replace(element("part"), assembly="panel")
-    model = building(part, wall("panel", assembly="house"), wall("house"), wall("base"), wall("far", (500.0, 0.0, 0.0)))
+    model = building(part, wall("panel", assembly="house"), wall("house"), wall("far", (500.0, 0.0, 0.0)))
     assert not standing_obstacles(model, ["part"], at, REACH, tmp_path)[0]
 
 

@@ -11,10 +11,16 @@ import numpy as np
 import pytest
 
 from construction_twin.extensions.work import decisions
-from construction_twin.extensions.work.as_built import as_built, deviation, pose_tuple, scene_change
 from construction_twin.extensions.work.layout import Slot, StockPlan
 from construction_twin.extensions.work.ledger import Ledger
-from construction_twin.extensions.work.loaded_model import ElementFacts, LoadedModel
+from construction_twin.extensions.work.loaded_model import (
+    ElementFacts,
+    LoadedModel,
+    as_built,
+    deviation,
+    pose_tuple,
+    scene_change,
+)
 from construction_twin.extensions.work.schedule import Job, Schedule, Wait
 from construction_twin.extensions.work.task_board import TaskBoard, WorkRefused
 from construction_twin.extensions.work.task_memory import Entry, TaskState

@@ -10,9 +10,8 @@ from work_samples import brick_recipe, building, element, layout, pairs, planner
 
 from construction_twin.core.units import CYCLE
 from construction_twin.extensions.work.contacts import ShapeDistances
-from construction_twin.extensions.work.errors import TaskPlanningError
 from construction_twin.extensions.work.layout import Layout
-from construction_twin.extensions.work.process import TaskMotions
+from construction_twin.extensions.work.process import TaskMotions, TaskPlanningError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.limit_usage import cycle_times
 from construction_twin.planning.planner import PlanRequest

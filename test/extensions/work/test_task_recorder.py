@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import work_samples
 
-from construction_twin.core.reports import ExecutionReport
+from construction_twin.core.reports import ExecutionReport, ToolReport
 from construction_twin.extensions.work.ledger import Ledger
-from construction_twin.extensions.work.received_messages import GripReading, grip_of
+from construction_twin.extensions.work.received_messages import GripReading, Received
 from construction_twin.extensions.work.task_memory import PLANNABLE, SETTLED, Entry, TaskMemory, TaskState
 from construction_twin.extensions.work.task_recorder import (
     FINISHED,
@@ -310,6 +310,7 @@ def test_of_a_plan_that_is_not_known_any_more_only_a_finish_tells_that_it_let_go
     ],
 )
 def test_a_grip_is_closed_when_it_is_told_to_hold_or_holds(output, inputs, closed):
-    assert grip_of(work_samples.tool().tool, {"vacuum": output}, inputs) == GripReading(
-        True, closed, ("vacuum",) if output else ()
-    )
+    received = Received(lambda _: 1, lambda: False, Path("review.jsonl"))
+    received.on_message(ToolReport(True, outputs={"vacuum": output}, inputs=inputs))
+    found = received.grip(work_samples.tool().tool)
+    assert found == GripReading(True, closed, ("vacuum",) if output else ())

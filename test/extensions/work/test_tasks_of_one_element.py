@@ -22,11 +22,10 @@ from work_bench import CARRY, ELEMENT, LEAVE, Bench
 from work_samples import BRICK, ROOT, element, job, robot, work_cell
 
 from construction_twin.extensions.work import decisions, worker_functions
-from construction_twin.extensions.work.as_built import pose_tuple, scene_change
-from construction_twin.extensions.work.building import Sequence, Task
-from construction_twin.extensions.work.errors import ScheduleError
+from construction_twin.extensions.work.building import ScheduleError, Sequence, Task
 from construction_twin.extensions.work.ifc.reading import read_building
 from construction_twin.extensions.work.ledger import Ledger, read_entries
+from construction_twin.extensions.work.loaded_model import pose_tuple, scene_change
 from construction_twin.extensions.work.schedule import Job, Schedule, Wait
 from construction_twin.extensions.work.task_board import TaskBoard, WorkRefused
 from construction_twin.extensions.work.task_memory import Entry

@@ -9,9 +9,9 @@ import pytest
 from ifc_models import IfcModel, noted
 from work_samples import box_pieces, building, element, robot, work_cell
 
+from construction_twin.extensions.work.building import comes_after
 from construction_twin.extensions.work.layout import Layout
 from construction_twin.extensions.work.schedule import Schedule
-from construction_twin.extensions.work.wholes import comes_after
 
 STUD = (0.1, 0.1, 1.0)
 NAIL = (0.01, 0.01, 0.2)

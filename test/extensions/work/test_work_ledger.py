@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.extensions.work.errors import LedgerError
-from construction_twin.extensions.work.ledger import Ledger, fold, read_entries
+from construction_twin.extensions.work.ledger import Ledger, LedgerError, fold, read_entries
 from construction_twin.extensions.work.task_memory import (
     CHANGES,
     PLANNABLE,

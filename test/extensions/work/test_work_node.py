@@ -23,10 +23,8 @@ from work_bench import (
 )
 
 from construction_twin.core.worker import Worker
-from construction_twin.extensions.work.as_built import pose_of_tuple
-from construction_twin.extensions.work.errors import LedgerError
-from construction_twin.extensions.work.ledger import Ledger
-from construction_twin.extensions.work.loaded_model import WORKER
+from construction_twin.extensions.work.ledger import Ledger, LedgerError
+from construction_twin.extensions.work.loaded_model import WORKER, pose_of_tuple
 from construction_twin.scene.objects import SceneObject as Body
 
 FENCE = Body("fence", "box", (0.1, 0.1, 0.1), (-3.0, 0.0, 0.5))

@@ -9,9 +9,8 @@ import yaml
 from work_samples import RECIPES, element, job, recipes, tool
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.extensions.work.errors import TaskPlanningError
-from construction_twin.extensions.work.place.recipe import PlaceRecipe, mass_of
-from construction_twin.extensions.work.process import PROPERTY_SET, read_recipes
+from construction_twin.extensions.work.place.grips import PlaceRecipe, mass_of
+from construction_twin.extensions.work.process import PROPERTY_SET, TaskPlanningError, read_recipes
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from construction_twin.scene.scene_change import SceneChange
 
 #: Distance between the places of a straight way at which bodies are looked at [m].
 STEP = 0.01
-#: What is not held sinks; it is looked at whether it would come to lie on something within this way [m]. More than a mortar bed.
+#: Way by which what is let go may sink until it lies on something [m]: more than a mortar bed.
 FALL = 0.02
 #: Part of that way by which it would come deeper into what it lies on already; and a distance that is surely no contact [m].
 _SINKS, _CLEAR = 0.3, 1e-4
@@ -34,12 +34,9 @@ class ShapeDistances:
     def near(
         self, moving: Sequence[SceneObject], way: Sequence[Pose], others: Iterable[SceneObject], padding: float
     ) -> tuple[str, ...]:
-        """Return the names of standing objects that come within the padding of objects that move together.
+        """Return the names of standing objects that come within the padding of `moving` ones in a frame on its `way`.
 
-        Args:
-            moving: In a frame of their own.
-            way: Of that frame, at most `STEP` apart and without a turn.
-            padding: Of the scene [m].
+        `way`: at most `STEP` apart and without a turn.
         """
         found = []
         for other in self._around(moving, way, list(others), padding):
@@ -48,7 +45,7 @@ class ShapeDistances:
         return tuple(found)
 
     def obstruction(self, scene: Scene, base_T_link: Pose) -> tuple[str, str] | None:
-        """Return a carried and a standing object that are too close with the arm's tip at a pose; None: there are none."""
+        """Return a carried and a standing object that are too close with the arm's tip at a pose, if any."""
         carried = [item for item in scene.objects if item.link]
         standing = [item for item in scene.objects if not item.link]
         for item in carried:
@@ -63,11 +60,7 @@ class ShapeDistances:
     def support_below(
         self, items: Sequence[SceneObject], base_T_frame: Pose, others: Iterable[SceneObject], up: np.ndarray
     ) -> str:
-        """Return the name of an object on which something in a frame would come to lie, sinking by `FALL`; empty: it would fall.
-
-        Args:
-            up: Shape (3,). Against gravity, a unit vector in the base.
-        """
+        """Return the name of an object on which items in a frame would come to lie, sinking by `FALL`; empty: they would fall."""
         sunk = Pose(base_T_frame.position - FALL * up, base_T_frame.rotation)
         for other in self._around(items, [base_T_frame, sunk], list(others), FALL):
             solid = not any(isinstance(shape, coal.BVHModelBase) for shape in self._shapes(other))
@@ -84,7 +77,7 @@ class ShapeDistances:
     def _around(
         self, moving: Sequence[SceneObject], way: Sequence[Pose], others: Sequence[SceneObject], padding: float
     ) -> list[SceneObject]:
-        """Return the standing objects whose balls come near those of moving ones: far fewer than there are in a building."""
+        """Return the standing objects whose balls come near those of moving ones."""
         balls = [self._ball(other) for other in others]
         middles, radii = np.reshape([middle for middle, _ in balls], (-1, 3)), np.array([radius for _, radius in balls])
         paddings = np.array([other.padding for other in others])
@@ -115,7 +108,6 @@ class ShapeDistances:
         return any(self._distance(item, pose, other, limit) <= limit for pose in way)
 
     def _ball(self, item: SceneObject) -> tuple[np.ndarray, float]:
-        """Return the middle and the radius of a ball around an object [m], in the frame of its pose."""
         shapes = self._shapes(item)
         if len(shapes) == 1:
             middle, radius = shapes[0].aabb_center, shapes[0].aabb_radius

@@ -1,11 +1,11 @@
-"""What people say of the work, recorded in the ledger; each returns a sentence."""
+"""Decisions of people, recorded in the ledger; each returns a sentence."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from construction_twin.core.sentences import Sentence
-from construction_twin.extensions.work.as_built import Deviation, deviation, pose_tuple
+from construction_twin.extensions.work.loaded_model import Deviation, deviation, pose_tuple
 from construction_twin.extensions.work.task_board import FROM_MODEL, PROPOSED, TaskBoard, WorkRefused, removed_command
 from construction_twin.extensions.work.task_memory import (
     ACCEPTED,
@@ -18,7 +18,6 @@ from construction_twin.extensions.work.task_memory import (
 )
 from construction_twin.kinematics.chain import Pose
 
-#: What answers mean.
 _MEANINGS = {
     "in_stock": Sentence("it lies in its stock, and the grip is empty"),
     "in_grip": Sentence("it is in the grip, as it was taken"),
@@ -95,7 +94,7 @@ def redo(board: TaskBoard, task: str, person: str, reason: str) -> str:
 
 
 def ask_about_carried(board: TaskBoard) -> str:
-    """Ask about the element that counts as carried while the tool is open; return a sentence, empty: none is carried."""
+    """Ask about the element that counts as carried while the tool is open; return a sentence if there is one."""
     held = board.states.in_state(TaskState.CARRIED)
     if not held:
         return ""
@@ -105,7 +104,7 @@ def ask_about_carried(board: TaskBoard) -> str:
 
 
 def answer(board: TaskBoard, task: str, answer: str, person: str, reason: str, shown: str = "") -> str:
-    """Record the answer to a task's question; `shown`: the question that the person saw, empty: not compared."""
+    """Record the answer to a task's question; `shown`: the one that the person saw, if known."""
     memory = _memory(board, task, person, former=True)
     possible = board.answers(task)
     if not possible:
@@ -114,8 +113,7 @@ def answer(board: TaskBoard, task: str, answer: str, person: str, reason: str, s
     if shown and shown != question:
         raise WorkRefused(Sentence("another question is open by now: {question}; look again", question=question))
     if answer not in possible:
-        answers = ", ".join(possible)
-        raise WorkRefused(f"{answer!r} is no answer to: {question}; expected one of {answers}")
+        raise WorkRefused(f"{answer!r} is no answer to: {question}; expected one of {', '.join(possible)}")
     if answer == "in_stock":
         _require_free_slot(board, task)
     name, meaning = board.built.element(task).name, _MEANINGS[answer]
@@ -143,7 +141,6 @@ def record_measured(board: TaskBoard, element: str, pose: Pose, person: str, rea
 
 
 def _require_free_slot(board: TaskBoard, task: str) -> None:
-    """Refuse an element in stock while another one lies in its slot."""
     other = board.loaded.stock.later_element_in_slot(board.element_of(task), board.built.out_of_stock())
     if not other:
         return
@@ -153,7 +150,6 @@ def _require_free_slot(board: TaskBoard, task: str) -> None:
 
 
 def _memory(board: TaskBoard, task: str, person: str, former: bool = False) -> TaskMemory:
-    """Return what is known of a task that there is."""
     if task not in board.states.after and task not in board.states.former:
         raise WorkRefused(f"there is no task {task!r}; `twin work list` names them")
     if task not in board.states.after and not former:

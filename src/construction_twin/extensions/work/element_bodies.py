@@ -6,23 +6,29 @@ a margin. Mesh files are named by their contents, results by what they were made
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from pathlib import Path
 
+import coal
 import numpy as np
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, QhullError
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.files import read_file, write_atomically
-from construction_twin.extensions.work.building import Body, Element
-from construction_twin.extensions.work.errors import WorkError
+from construction_twin.extensions.work.building import Body, Element, WorkError
+from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rotation_to_quaternion
+from construction_twin.robot.motion_errors import SceneError
+from construction_twin.scene.collision_bodies import scene_geometry
 from construction_twin.scene.convex_pieces import convex_pieces
-from construction_twin.scene.mesh_file import MOST_TRIANGLES
-from construction_twin.scene.objects import SceneObject
+from construction_twin.scene.mesh_file import MOST_TRIANGLES, parse_mesh
+from construction_twin.scene.objects import SceneObject, read_mesh_file
+from construction_twin.scene.same_space import BOX, same_points
 from construction_twin.scene.solids import hull_solid, mesh_of, welded
 
 #: Changes when the same body would give other pieces.
@@ -75,23 +81,18 @@ def box_of(element: Element) -> SceneObject:
 
 
 def _cached(body: Body, folder: Path) -> tuple[float, list[SceneObject]]:
-    """Return a body's excess, and its objects; from an earlier run if its files are as they were."""
+    """Return a body's excess and objects, from an earlier run if its files are as they were."""
     vertices = np.ascontiguousarray(body.vertices, dtype=float)
     triangles = np.ascontiguousarray(body.triangles, dtype=np.int64)
     made_of = [_VERSION, BOUND, MARGIN, vertices.shape, triangles.shape]
     digest = hashlib.sha256(json.dumps(made_of).encode() + vertices.tobytes() + triangles.tobytes()).hexdigest()
     path = folder / f"{digest}.json"
-    try:
+    # not made yet, damaged, or a mesh is gone: made anew
+    with contextlib.suppress(FileNotFoundError, ValueError, KeyError, TypeError, ConstructionTwinError):
         kept = json.loads(read_file(path, _LARGEST))
         pieces = [_object(item, folder) for item in kept["pieces"]]
         if all(not item.mesh or item.mesh_digest == Path(item.mesh).stem for item in pieces):
             return kept["excess"], pieces
-    except FileNotFoundError:
-        pass  # not made yet
-    except (ValueError, KeyError, TypeError, ConstructionTwinError):
-        # a damaged file, or a mesh that is gone: made anew, and written over
-        path.unlink(missing_ok=True)
-    folder.mkdir(parents=True, exist_ok=True)
     reach, descriptions = _convex_objects(vertices, triangles, folder)
     write_atomically(path, json.dumps({"excess": reach, "pieces": descriptions}) + "\n")
     return reach, [_object(item, folder) for item in descriptions]
@@ -120,7 +121,7 @@ def _convex_objects(vertices: np.ndarray, triangles: np.ndarray, folder: Path) -
 
 
 def _as_box(points: np.ndarray) -> dict | None:
-    """Return what makes a SceneObject of a convex piece that is a box; None: it is none."""
+    """Return the fields of a SceneObject for a convex piece that is a box, else None."""
     hull = ConvexHull(points)
     axes: list[np.ndarray] = []
     for normal in np.round(hull.equations[:, :3], 12):
@@ -162,6 +163,104 @@ def _write_mesh(vertices: np.ndarray, triangles: np.ndarray, folder: Path) -> st
 
 
 def element_triangles(element: Element) -> np.ndarray:
-    """Return all triangles of an element as the model has them, for pictures: shape (t, 3, 3), in its frame [m]."""
+    """Return all triangles of an element, shape (t, 3, 3), in its frame [m]."""
     found = [np.asarray(body.vertices, dtype=float)[np.asarray(body.triangles)] for body in element.bodies]
     return np.concatenate(found) if found else np.empty((0, 3, 3))
+
+
+#: Points further outside of a plane are not on it [m].
+ON_PLANE = 1e-5
+#: Facets whose normals differ by less are of one face [-, sine].
+_PARALLEL = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Hull:
+    """A convex body; `planes`: shape (f, 4), outward normal and offset: inside where ``normal . x + offset <= 0``."""
+
+    points: np.ndarray
+    planes: np.ndarray
+    volume: float
+    centre: np.ndarray
+
+
+class ElementPieces:
+    """The pieces of one element, in the element's frame: boxes and meshes, `link` empty."""
+
+    def __init__(self, objects: Sequence[SceneObject]):
+        self.objects = tuple(objects)
+        self.hulls = tuple(map(_hull, objects))
+
+    @cached_property
+    def solid(self) -> bool:
+        """Whether every piece is a closed convex body, no surface."""
+        return not any(isinstance(scene_geometry(item), coal.BVHModelBase) for item in self.objects)
+
+    @cached_property
+    def points(self) -> np.ndarray:
+        """Corners of all pieces, shape (n, 3)."""
+        return np.concatenate([hull.points for hull in self.hulls])
+
+    @cached_property
+    def centre(self) -> np.ndarray:
+        """Centre of gravity of the pieces, all of one density, shape (3,)."""
+        return np.average([hull.centre for hull in self.hulls], axis=0, weights=[hull.volume for hull in self.hulls])
+
+    @cached_property
+    def planes(self) -> np.ndarray:
+        """The different planes of the facets of all pieces, largest first, shape (p, 4)."""
+        found: list[np.ndarray] = []
+        for plane in np.concatenate([hull.planes for hull in self.hulls]):
+            if not any(
+                abs(plane[3] - other[3]) <= ON_PLANE and np.linalg.norm(plane[:3] - other[:3]) <= _PARALLEL
+                for other in found
+            ):
+                found.append(plane)
+        return np.array(
+            sorted(found, key=lambda plane: (-round(self._extent(plane), 6), *np.round(-plane, 6).tolist()))
+        )
+
+    def on(self, plane: np.ndarray) -> np.ndarray:
+        """Return the corners that lie on a plane, shape (k, 3)."""
+        return self.points[np.abs(self.points @ plane[:3] + plane[3]) <= ON_PLANE]
+
+    def contain(self, points: np.ndarray, slack: float = 1e-6) -> np.ndarray:
+        """Return which points lie in one of the pieces, shape (n,)."""
+        inside = np.zeros(len(points), dtype=bool)
+        for hull in self.hulls:
+            inside |= (points @ hull.planes[:, :3].T + hull.planes[:, 3] <= slack).all(axis=1)
+        return inside
+
+    def same_turned(self, turn: Pose) -> bool:
+        """Return whether a motion maps the pieces onto themselves."""
+        left = list(self.hulls)
+        for hull in self.hulls:
+            moved = hull.points @ turn.rotation.T + turn.position
+            match = next((other for other in left if same_points(moved, other.points, 1e-4)), None)
+            if match is None:
+                return False
+            left.remove(match)
+        return True
+
+    def _extent(self, plane: np.ndarray) -> float:
+        return float(np.prod(np.sort(np.ptp(self.on(plane), axis=0))[1:]))
+
+
+@lru_cache(maxsize=4096)
+def _hull(item: SceneObject) -> Hull:
+    name, (x, y, z) = f"object {item.name!r}", item.size
+    if item.mesh:
+        corners = parse_mesh(f"{name} mesh", item.mesh, read_mesh_file(item.name, item.mesh), (x, y, z))[0]
+    else:
+        corners = BOX * item.size
+    try:
+        hull = ConvexHull(corners @ item.pose.rotation.T + item.pose.position)
+    except QhullError as error:
+        raise SceneError(name, item.shape, "a body that has a volume") from error
+    points = hull.points[hull.vertices]
+    middle = points.mean(axis=0)
+    # of gravity: that of the tetrahedra between the middle and the facets
+    a, b, c = np.moveaxis(hull.points[hull.simplices] - middle, 1, 0)
+    volumes = np.abs(np.einsum("ij,ij->i", a, np.cross(b, c)))
+    centre = middle + volumes @ (a + b + c) / (4.0 * volumes.sum())
+    return Hull(points, np.unique(np.round(hull.equations, 9) + 0.0, axis=0), float(hull.volume), centre)

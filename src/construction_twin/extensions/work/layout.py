@@ -9,12 +9,11 @@ from types import MappingProxyType
 import numpy as np
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.extensions.work.building import BuildingModel, Element
+from construction_twin.extensions.work.building import BuildingModel, Element, comes_after
 from construction_twin.extensions.work.contacts import ShapeDistances
-from construction_twin.extensions.work.convex_bodies import ElementPieces
+from construction_twin.extensions.work.element_bodies import ElementPieces
 from construction_twin.extensions.work.process import WorkJob
 from construction_twin.extensions.work.schedule import Job
-from construction_twin.extensions.work.wholes import comes_after
 from construction_twin.extensions.work.work_cell import Rack, StackRack, WorkCell, inverse, pose_of
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_rotation
@@ -35,13 +34,13 @@ class Slot:
 
 @dataclass(frozen=True, eq=False)
 class StockPlan:
-    """All elements in their slots, in the order in which they are needed; `stacks`: the racks that are filled as a whole."""
+    """All elements in their slots, in the order in which they are needed; `stacks`: racks that are filled as a whole."""
 
     slots: Mapping[str, Slot]
     stacks: frozenset[str] = frozenset()
 
     def in_stock(self, out_of_stock: Collection[str]) -> tuple[str, ...]:
-        """Return what lies in stock: an element of a later load when its slot, or its whole stack, is empty."""
+        """Return what lies in stock: of a later load only what has an empty slot, or stack."""
         gone = set(out_of_stock)
         left: dict[tuple[str, int], int] = {}
         for element, slot in self.slots.items():
@@ -55,7 +54,7 @@ class StockPlan:
         )
 
     def later_element_in_slot(self, element: str, out_of_stock: Collection[str]) -> str:
-        """Return the element of a later load that counts as delivered where this one is to lie again; empty: none."""
+        """Return the element of a later load that counts as delivered in an element's slot, if any."""
         slot = self.slots.get(element)
         if slot is None:
             return ""
@@ -73,7 +72,6 @@ def plan_stock(
     work_cell: WorkCell, building: BuildingModel, order: Sequence[str], corners: Mapping[str, np.ndarray]
 ) -> StockPlan:
     """Give every element a slot; `corners`: shape (n, 3), points that enclose it, in its frame [m]."""
-    base_T_model = inverse(work_cell.model_T_base(building))
     members: dict[str, list[Element]] = {name: [] for name in work_cell.file.racks}
     for element in map(building.element, order):
         members[_rack_of(work_cell, element)].append(element)
@@ -81,12 +79,7 @@ def plan_stock(
     slots: dict[str, Slot] = {}
     for name, elements in members.items():
         rack, where = work_cell.file.racks[name], f"{work_cell.path}/racks/{name}"
-        if rack.order == "file":
-            place = {element: number for number, element in enumerate(building.elements)}
-            elements = sorted(elements, key=lambda element: place[element.id])
         poses, base_T_rack = rack.poses, pose_of(rack.at)
-        if rack.frame == "model":
-            base_T_rack = product(base_T_model, base_T_rack)
         for number, element in enumerate(elements):
             load, at = divmod(number, len(poses))
             if load and not rack.refill:
@@ -118,21 +111,11 @@ def _lying(rack: Rack, element: Element, base_T_slot: Pose, corners: np.ndarray)
     return product(base_T_slot, Pose(-foot, slot_R_element))
 
 
-#: Elements at a pose whose objects are kept.
-_STOOD = 5000
-
-
 class Layout:
     """Where every element of a work is before and after.
 
-    Args:
-        pieces, standing: Convex pieces ``<GlobalId>/<number>`` by element, in its frame, of `order` and of what no task makes.
-        jobs: By default one for each element, called as it.
-
-    Attributes:
-        standing: In the base_link.
-        stays: The elements in `order` that no job moves.
-        comes_after: See `wholes.comes_after`.
+    `pieces`, `standing`: convex pieces ``<GlobalId>/<number>`` by element, in its frame, of `order` and of what no task makes.
+    `jobs`: by default one for each element, called as it. `stays`: the elements that no job moves.
     """
 
     def __init__(
@@ -147,7 +130,7 @@ class Layout:
     ):
         self.work_cell, self.building, self.order = work_cell, building, tuple(order)
         self.pieces = {element: tuple(pieces[element]) for element in order}
-        self._base_T_model = inverse(work_cell.model_T_base(building))
+        self._base_T_model = inverse(work_cell.model_T_base)
         self._tool = tool_objects(work_cell.tool, link)
         corners = {element: ElementPieces(items).points for element, items in self.pieces.items()}
         own = (Job(one, "", "", one, (), (), work_cell.recipes.process(building.element(one))) for one in order)
@@ -163,19 +146,13 @@ class Layout:
         )
         self.comes_after = comes_after(building.elements, moved)
         self._shapes = ShapeDistances()
-        self._stood: dict[tuple[str, bytes], tuple[SceneObject, ...]] = {}
 
     def base_T_goal(self, element: str) -> Pose:
         """Return where an element is to stand, as designed."""
         return product(self._base_T_model, self.building.element(element).model_T_element)
 
     def scene(self, placed: Mapping[str, Pose] = MappingProxyType({}), gone: Collection[str] = ()) -> Scene:
-        """Return the scene at a state of the work.
-
-        Args:
-            placed: ``base_T_element`` as built.
-            gone: Elements that are neither in stock nor placed.
-        """
+        """Return the scene with elements `placed` at ``base_T_element``, and others `gone` from their stock."""
         objects = [*self.work_cell.scene.objects]
         for item in self.standing:
             element = item.name.split("/", 1)[0]
@@ -221,16 +198,10 @@ class Layout:
         )
 
     def _standing_pose(self, element: str, scene: Scene) -> Pose:
-        """Return where an element stands in a scene, or as designed."""
         first = self.pieces[element][0]
         if first.name not in scene.names or scene.get(first.name).link:
             return self.base_T_goal(element)
         return product(scene.get(first.name).pose, inverse(first.pose))
 
     def _objects_at(self, element: str, base_T_element: Pose) -> tuple[SceneObject, ...]:
-        key = element, base_T_element.position.tobytes() + base_T_element.rotation.tobytes()
-        if key not in self._stood:
-            if len(self._stood) >= _STOOD:
-                self._stood.clear()
-            self._stood[key] = tuple(item.moved(product(base_T_element, item.pose)) for item in self.pieces[element])
-        return self._stood[key]
+        return tuple(item.moved(product(base_T_element, item.pose)) for item in self.pieces[element])

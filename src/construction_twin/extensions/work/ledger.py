@@ -16,7 +16,7 @@ from types import MappingProxyType
 from construction_twin.core.append_only import AppendOnlyFile, read_lines
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.files import write_atomically
-from construction_twin.extensions.work.errors import LedgerError
+from construction_twin.extensions.work.building import WorkError
 from construction_twin.extensions.work.task_memory import (
     ACCEPTED,
     CHANGED,
@@ -36,16 +36,22 @@ from construction_twin.extensions.work.task_memory import (
 )
 from construction_twin.scene.objects import SceneObject
 
+_CHANGED_TASK = "the model was changed, and its task"
 _FREED, _BLOCKED = Entry(TaskEvent.FREED.value), Entry(TaskEvent.BLOCKED.value)
+
+
+class LedgerError(WorkError):
+    """The ledger cannot be written or read; nothing is done without it."""
+
+    def __init__(self, path: str, problem: str):
+        super().__init__(f"{path}: {problem}")
 
 
 @dataclass(frozen=True)
 class ModelElement:
-    """What the present model says of a task's element; `digest`: SHA-256 of that, with shape and place; empty: no shape."""
+    """A task's element in the present model; `digest`: SHA-256, shape and place included; empty: no shape."""
 
     element: str
-    name: str = ""
-    ifc_class: str = ""
     digest: str = ""
 
 
@@ -54,48 +60,45 @@ class TaskStates:
     """The state of every task after some events; made by `fold`.
 
     Attributes:
-        after: The tasks that must be settled before each task of the schedule, in an order in which they can be done.
+        after: The tasks that each task of the schedule waits for, in an order in which they can be done.
         tasks: In that order; behind them those of former schedules.
-        accepted: Digest of the schedule that a person has accepted.
-        model, cell: SHA-256 and path, of the last ones.
+        elements: The element of each task of the schedule, where known.
+        accepted: Digest of the accepted schedule.
+        model, cell: The last SHA-256 and path.
     """
 
     after: Mapping[str, tuple[str, ...]]
     tasks: Mapping[str, TaskMemory]
+    elements: Mapping[str, str]
     accepted: str = ""
     model: str = ""
     cell: str = ""
 
     def with_entry(self, entry: Entry) -> TaskStates:
-        """Return the states after one more event.
-
-        Raises:
-            NotNow: If it does not fit.
-        """
+        """Return the states after one more event; raise NotNow if it does not fit."""
         if entry.event == ACCEPTED:
             return replace(self, accepted=entry.schedule)
         if entry.event in (OPENED, CHANGED):
             return replace(self, model=entry.model, cell=entry.cell)
         if entry.event in OF_NO_TASK:
             return self
-        before = self.tasks.get(entry.task, TaskMemory(entry.task))
+        own = self.elements.get(entry.task, entry.element)
+        # a task that was of another element is a former one's
+        name = entry.task if entry.element in ("", own) else f"{entry.element} {entry.task}"
+        before = self.tasks.get(name, TaskMemory(name))
         # what was done was done, even if a schedule that was changed since would have had it wait
         waits = before.state is TaskState.WAITING and not before.accepts(entry)
         memory = (before.with_entry(_FREED) if waits else before).with_entry(entry)
-        tasks = {**self.tasks, entry.task: memory}
+        tasks = {**self.tasks, name: memory}
         for task, other in self.tasks.items():
             # what is said now of where an element is replaces what was known of it by a task that is no more
-            no_more = task not in self.after and entry.task in self.after and not memory.stays
+            no_more = task not in self.after and name in self.after and not memory.stays
             if task == entry.former or (no_more and entry.element and other.element == entry.element):
                 del tasks[task]
-                if task in self.after:
-                    tasks[task] = TaskMemory(task, TaskState.READY)
         if entry.former or memory.state is TaskState.READY or (memory.state in SETTLED) != (before.state in SETTLED):
             # only then somebody waits who did not, or waits no longer
             tasks = _settled(self.after, tasks)
         return replace(self, tasks=tasks)
-
-    # -- what is known
 
     def in_state(self, *states: TaskState) -> tuple[str, ...]:
         """Return the tasks in any of these states, in their order."""
@@ -132,27 +135,14 @@ class TaskStates:
             name for name, before in self.after.items() if task in before and self.tasks[name].state not in still
         )
 
-    # -- another model or schedule
-
     @property
     def former(self) -> dict[str, TaskMemory]:
-        """Return the tasks of former schedules that have taken an element from its stock."""
-        left = {task: memory for task, memory in self.tasks.items() if task not in self.after}
-        return {task: memory for task, memory in left.items() if memory.touched and not memory.stays}
-
-    def handed_over(self, model_elements: Mapping[str, ModelElement]) -> list[Entry]:
-        """Return the events by which what a task has done to another element than its present one goes by that element's id."""
-        found = []
-        for task, memory in self.tasks.items():
-            if task not in model_elements or memory.element in ("", model_elements[task].element) or memory.stays:
-                continue
-            reason = "the model was changed, and its task"
-            if memory.touched:
-                own = memory.element if memory.element not in self.tasks else f"{memory.element} {task}"
-                found.append(placed_elsewhere("found" if memory.placed else "unknown", own, memory, reason=reason))
-            elif memory.gone and memory.state is TaskState.DONE:
-                found.append(Entry("redone", task, model_elements[task].element, reason=reason))
-        return found
+        """The tasks of former schedules that have taken an element from its stock."""
+        return {
+            task: memory
+            for task, memory in self.tasks.items()
+            if task not in self.after and memory.touched and not memory.stays
+        }
 
     def doubts(
         self,
@@ -161,49 +151,39 @@ class TaskStates:
         standing: Collection[str] = (),
         model_elements: Mapping[str, ModelElement] = MappingProxyType({}),
     ) -> list[Entry]:
-        """Return the events by which a person is asked about what was touched and has changed since it was placed or answered."""
-        found, called = [], {(each.name, each.ifc_class) for each in model_elements.values()}
+        """Return the events by which a person is asked about what has changed since it was placed or answered."""
+        found = []
         for task, memory in self.tasks.items():
-            no_more, is_standing = task not in self.after, memory.placed and memory.state in SETTLED
-            heir = placing.get(memory.element, "") if no_more else ""
+            no_more, stands = task not in self.after, memory.placed and memory.state in SETTLED
             if not memory.touched or (no_more and memory.stays):
                 continue
+            heir = placing.get(memory.element, "") if no_more else ""
+            present = model_elements.get(heir or task)
+            unchanged = stands and memory.seen == (NOT_IN_MODEL if present is None else present.digest)
             if heir and self.tasks[heir].state in (TaskState.WAITING, TaskState.READY):
-                event, reason = "found" if memory.placed else "unknown", "the model was changed, and its task"
-                if is_standing and heir in model_elements and memory.seen == model_elements[heir].digest:
-                    event = "same"
-                found.append(placed_elsewhere(event, heir, memory, reason=reason))
-            elif memory.state is TaskState.ASKS or (no_more and is_standing and memory.element in standing):
+                event = "same" if unchanged else "found" if memory.placed else "unknown"
+                found.append(placed_elsewhere(event, heir, memory))
+            elif memory.state is TaskState.ASKS or unchanged or (no_more and stands and memory.element in standing):
                 continue
-            elif is_standing and task in model_elements and memory.seen == model_elements[task].digest:
-                continue
-            elif (
-                is_standing
-                and no_more
-                and memory.seen == NOT_IN_MODEL
-                and (memory.name, memory.ifc_class) not in called
-            ):
-                continue
-            elif self.model != model or (no_more and not is_standing):
+            elif self.model != model or (no_more and not stands):
                 # what is on its way out stands; only then can it be asked about
                 times = 2 if memory.state is TaskState.RETREATING else 1
-                reason = "the model was changed"
-                found += [Entry("unknown", task, memory.element, reason=reason)] * times
+                found += [Entry("unknown", task, memory.element, reason="the model was changed")] * times
         return found
 
 
-def placed_elsewhere(event: str, task: str, memory: TaskMemory, reason: str) -> Entry:
+def placed_elsewhere(event: str, task: str, memory: TaskMemory) -> Entry:
     """Return the event by which a task takes over an element of another one."""
     source = PLANNED if event == TaskEvent.SAME.value and memory.as_planned else ""
     return Entry(
-        event, task, memory.element, pose=memory.base_T_element, name=memory.name, ifc_class=memory.ifc_class,
-        body=memory.body, goal=memory.goal, seen=memory.seen, former=memory.task, reason=reason, source=source,
+        event, task, memory.element, pose=memory.base_T_element, name=memory.name,
+        body=memory.body, goal=memory.goal, seen=memory.seen, former=memory.task, reason=_CHANGED_TASK, source=source,
     )  # fmt: skip
 
 
-def fold(after: Mapping[str, tuple[str, ...]]) -> TaskStates:
+def fold(after: Mapping[str, tuple[str, ...]], elements: Mapping[str, str] = MappingProxyType({})) -> TaskStates:
     """Return the states before any event."""
-    return TaskStates(dict(after), _settled(after, {task: TaskMemory(task) for task in after}))
+    return TaskStates(dict(after), _settled(after, {task: TaskMemory(task) for task in after}), elements)
 
 
 def _missing(after: Mapping[str, tuple[str, ...]], tasks: Mapping[str, TaskMemory], task: str) -> tuple[str, ...]:
@@ -240,13 +220,11 @@ class Ledger:
         self._clock = clock
         self._file = AppendOnlyFile(self.path, LedgerError, "work node")
         try:
-            self.states = replay(self.path, after)
+            self.states = replay(self.path, after, {task: each.element for task, each in model_elements.items()})
             if self._file.lines == 0:
                 self.add(Entry(OPENED, model=model, cell=cell, robot=robot))
             if self._file.cut_off:
                 self.add(Entry(MENDED, reason=f"{self._file.cut_off} bytes of a line without its end were cut off"))
-            for entry in self.states.handed_over(model_elements):
-                self.add(entry)
             for entry in self.states.doubts(model, placing, standing, model_elements):
                 self.add(entry)
             # last: killed before it, the next start asks again
@@ -262,11 +240,7 @@ class Ledger:
         return self._file.lines
 
     def add(self, entry: Entry) -> None:
-        """Write an event; it is on the disk when this returns.
-
-        Raises:
-            NotNow, LedgerError: Nothing is written.
-        """
+        """Write an event to the disk; where this raises NotNow or LedgerError nothing is written."""
         now = self._clock()
         entry = replace(entry, time_ns=now)
         if entry.event not in OF_NO_TASK:
@@ -279,8 +253,6 @@ class Ledger:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-    # -- bodies
 
     def save_bodies(self, bodies: Sequence[SceneObject]) -> str:
         """Save an element's pieces; return their digest."""
@@ -322,7 +294,7 @@ class Ledger:
         return tuple(pieces)
 
 
-#: What is kept of each piece, besides its mesh.
+#: Kept of each piece, besides its mesh.
 _OF_BODY = ("shape", "size", "position", "quaternion", "padding")
 
 
@@ -340,16 +312,16 @@ def _mesh_name(item: SceneObject) -> str:
     return f"{item.mesh_digest}{Path(item.mesh).suffix}" if item.mesh else ""
 
 
-def replay(path: Path, after: Mapping[str, tuple[str, ...]]) -> TaskStates:
-    """Return the states after the lines of a ledger."""
-    states = fold(after)
+def replay(path: Path, after: Mapping[str, tuple[str, ...]], elements: Mapping[str, str]) -> TaskStates:
+    """Return the states after all lines."""
+    states = fold(after, elements)
     for number, entry in enumerate(read_entries(path), start=1):
         if number == 1 and entry.event != OPENED:
             raise LedgerError(str(path), f"line 1 is {entry.event!r}; expected {OPENED!r}: this is no ledger")
         try:
             states = states.with_entry(entry)
         except NotNow as error:
-            raise LedgerError(str(path), f"line {number}: {str(error)}") from error
+            raise LedgerError(str(path), f"line {number}: {error}") from error
     return states
 
 

@@ -18,10 +18,17 @@ from construction_twin.core.clock import Clock
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import CYCLE
 from construction_twin.extensions.work.contacts import ShapeDistances, change_between
-from construction_twin.extensions.work.errors import TaskPlanningError
-from construction_twin.extensions.work.process import REACH, Recipe, Recipes, TaskMotions, WorkJob, process_of
+from construction_twin.extensions.work.process import (
+    REACH,
+    Recipe,
+    Recipes,
+    TaskMotions,
+    TaskPlanningError,
+    WorkJob,
+    process_of,
+)
 from construction_twin.kinematics.chain import Pose
-from construction_twin.kinematics.solution import InverseKinematics, UnreachableError
+from construction_twin.kinematics.solution import InverseKinematics
 from construction_twin.planning.cartesian import plan_cartesian
 from construction_twin.planning.limit_usage import cycle_times
 from construction_twin.planning.planner import Planner, PlannerSettings, PlanRequest
@@ -37,10 +44,6 @@ from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import SelfCollision
 
-#: Largest distance of an arm's wrist from its flange that is reckoned with [m].
-_WRIST = 0.5
-
-
 #: Time after which no other method or way is begun, and for the search of one free way [s].
 BUDGET, FREE_BUDGET = 1.2, 0.7
 #: Most joint solutions of a pose that are tried, and combinations of two straight ways with one method.
@@ -48,25 +51,15 @@ SOLUTIONS, PAIRS = 8, 6
 
 
 class AttemptFailed(Exception):
-    """One attempt was not possible.
+    """One attempt was not possible; `stage`: a segment, `process.REACH`, or another word of the process."""
 
-    Attributes:
-        stage: A segment, `process.REACH`, or another word of the process.
-        method: Set by the process.
-    """
-
-    def __init__(self, stage: str, reason: str, hopeless: bool = False):
-        self.stage, self.reason, self.hopeless, self.method = stage, reason, hopeless, ""
+    def __init__(self, stage: str, reason: str):
+        self.stage, self.reason, self.method = stage, reason, ""
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """One planning: what is asked, what it is planned with, and the motions that an attempt is made of.
-
-    Attributes:
-        held: ``tool0_T_element`` of an element that is in the grip already.
-        began: By the clock [s].
-    """
+    """One planning, and the motions that an attempt is made of; `held`: ``tool0_T_element`` of an element in the grip."""
 
     job: WorkJob
     name: str
@@ -97,15 +90,10 @@ class Search:
             self._worlds[scene.hash] = self.build_world(scene)
         return self._worlds[scene.hash]
 
-    def require_reach(self, pose: Pose, where: str, room: Callable[[], float] = float) -> None:
-        """Refuse a pose of the flange out of reach; `room`: Returns how far another method may have it from there [m]."""
+    def require_reach(self, pose: Pose, where: str) -> None:
+        """Refuse a pose of the flange out of reach."""
         try:
             self.solver.nearest(pose, self.start)
-        except UnreachableError as error:
-            # how far the tool's centre point can be from the arm's wrist
-            size = float(np.linalg.norm(self.tool.tool.tool0_T_tcp.xyz)) + _WRIST
-            hopeless = not error.too_close and error.missing > 2.0 * (room() + size)
-            raise AttemptFailed(REACH, f"{where}: {error}", hopeless) from error
         except KinematicsError as error:
             raise AttemptFailed(REACH, f"{where}: {error}") from error
 

@@ -18,9 +18,9 @@ import numpy as np
 import pydantic
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.sentences import Sentence
 from construction_twin.core.validation import configuration_error
-from construction_twin.extensions.work.building import Element, Task, Value
-from construction_twin.extensions.work.errors import TaskPlanningError
+from construction_twin.extensions.work.building import Element, Task, Value, WorkError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.tool import Tool
@@ -48,13 +48,7 @@ class Strict(pydantic.BaseModel):
 
 
 class Match(Strict):
-    """What an element must be; all that is given must hold.
-
-    Attributes:
-        type_name, name: Patterns with ``*`` and ``?``, case ignored.
-        elements: GlobalIds or whole names.
-        properties: ``Pset_MemberCommon.Reference: S1``
-    """
+    """What an element must be, all of it; names are patterns with ``*`` and ``?``, `elements` GlobalIds or whole names."""
 
     ifc_class: tuple[str, ...] = ()
     type_name: str = ""
@@ -87,10 +81,7 @@ def _holds(properties: Mapping[str, Mapping[str, Value]], path: str, value: bool
 class Recipe(Strict):
     """How elements of one kind are worked on.
 
-    Attributes:
-        speed: Of the tool on the straight ways [m/s].
-        free_speed_scale: Fraction of the joints' limits on the free ways.
-        penetration: How deep bodies that may touch may be in each other [m].
+    `speed`: on straight ways [m/s]. `free_speed_scale`: on free ways. `penetration`: of bodies that may touch [m].
     """
 
     match: Match = Match()
@@ -106,8 +97,7 @@ class WorkJob:
 
     Attributes:
         bodies: Convex pieces ``<GlobalId>/0``, ..., in the element's frame.
-        base_T_stock: ``base_T_element`` in its stock; None: its process does not move it.
-        base_T_goal: ``base_T_element`` at its place, or as built where it stands.
+        base_T_stock: None: its process does not move it.
         supports: Scene objects that it may touch in stock and at its place.
         up: Against gravity, a unit vector in the base.
     """
@@ -123,10 +113,8 @@ class WorkJob:
 
     @property
     def label(self) -> str:
-        """The element in a sentence."""
-        return (
-            f"element {self.element.name!r} ({self.element.id})" if self.element.name else f"element {self.element.id}"
-        )
+        """The element in a sentence; `BuildingModel.with_names` names it."""
+        return f"element {self.element.id}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +123,7 @@ class TaskMotions:
 
     Attributes:
         method: How its process does it: of `place` the grip.
-        scenes: One more than segments: of each, and the one after the last.
+        scenes: Of each segment, and the one after the last.
         clearance: Smallest, without what is approached on purpose [m].
         tool0_T_element: None: the element is not moved.
     """
@@ -154,6 +142,15 @@ class TaskMotions:
         return sum(segment.trajectory.duration for segment in self.segments)
 
 
+class TaskPlanningError(WorkError):
+    """A task cannot be planned; `stage`: the segment that failed, with the `method` that came furthest."""
+
+    def __init__(self, task: str, reason: str, stage: str = "", method: str = ""):
+        self.task, self.reason, self.stage, self.method = task, reason, stage, method
+        where = (f", {stage}" if stage else "") + (f" with {method!r}" if method else "")
+        super().__init__(Sentence("task {task}{where}: {reason}", task=task, where=where, reason=reason))
+
+
 #: The stage of every process at which the arm does not get there at all.
 REACH = "reach"
 
@@ -165,9 +162,9 @@ class Process:
     Attributes:
         moves: It takes the element from its stock to its place; else a person is asked whether the task was carried out.
         check_recipe: Takes a recipe, the tool, and file and name of the recipe; raises ConfigurationError.
-        mass: Takes a job, name of its recipe, the recipe and the tool [kg]; None: unknown. Raises TaskPlanningError.
+        mass: Takes a job, name of its recipe, the recipe and the tool [kg]; raises TaskPlanningError.
         acts: Name of the segment at whose end it acts.
-        plan: Takes a `motions.Search`; raises `motions.AttemptFailed`, of the attempt that came furthest, or TaskPlanningError.
+        plan: Takes a `motions.Search`; raises `motions.AttemptFailed`, or TaskPlanningError.
     """
 
     moves: bool

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,10 +15,8 @@ from construction_twin.robot.tool import Tool
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_change import SceneChange
 
-#: Verdicts that are remembered.
-_MOST_VERDICTS = 100
-#: Work plans that are remembered for an arm that is left engaged.
-_MOST_PLANS = 4
+#: Verdicts, and work plans for an arm that is left engaged, that are remembered.
+_MOST_VERDICTS, _MOST_PLANS = 100, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +39,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class GripReading:
-    """What the tool says of its grip; `closed`: an output commands it to hold (`commanded`), or an input says that it does."""
+    """The tool's grip; `closed`: outputs command it to hold (`commanded`), or an input confirms that it does."""
 
     known: bool
     closed: bool
@@ -48,22 +47,14 @@ class GripReading:
 
     @property
     def is_surely_open(self) -> bool:
-        """Whether the grip is known to be open."""
+        """Whether it is known to be open."""
         return self.known and not self.closed
 
 
-def grip_of(tool: Tool, outputs: Mapping[str, bool], inputs: Mapping[str, bool]) -> GripReading:
-    """Return what a tool's outputs and inputs say of its grip."""
-    asked = tuple(name for name, value in tool.grip.set.items() if outputs.get(name) == value)
-    holds = any(inputs.get(name) == value for name, value in tool.grip.confirm.items())
-    return GripReading(True, bool(asked) or holds, asked)
-
-
 class Received:
-    """The newest message of each kind, for any thread.
+    """The newest message of each kind (None: unknown), for any thread.
 
-    `publishers`: Returns how many nodes publish a topic. `ends`: Returns whether this process ends. `review_file`: The executor's
-    record of verdicts. None as a message: unknown.
+    `publishers`: number of nodes that publish a topic. `ends`: whether this process ends. `review_file`: the executor's.
     """
 
     def __init__(self, publishers: Callable[[str], int], ends: Callable[[], bool], review_file: Path):
@@ -78,8 +69,7 @@ class Received:
         self.tool: ToolReport | None = None
         #: The planner that published the plan is still there, and gives it to an executor that starts anew.
         self._plan_offered = False
-        #: The newest first.
-        self._verdicts: list[Verdict] = []
+        self._verdicts: deque[Verdict] = deque(maxlen=_MOST_VERDICTS)
         self._work_plans: list[KnownPlan] = []
 
     def on_message(
@@ -95,7 +85,7 @@ class Received:
                 case ToolReport():
                     self.tool = message
                 case Verdict():
-                    self._verdicts = [message, *self._verdicts][:_MOST_VERDICTS]
+                    self._verdicts.appendleft(message)
                 case Scene():
                     self.scene = message
                 case KnownPlan():
@@ -123,8 +113,6 @@ class Received:
         with self._changed:
             return bool(self._changed.wait_for(lambda: condition() or self._ends(), seconds))
 
-    # -- the executor
-
     @property
     def is_executor_known(self) -> bool:
         """Whether the executor's state is known, or it has no publisher."""
@@ -150,8 +138,6 @@ class Received:
         """Whether the arm was left engaged at an unknown place, until its record is on the disk."""
         return self.execution is not None and self.execution.engaged and self.left_engaged is None
 
-    # -- plans and scenes
-
     def work_plan(self, plan_id: str) -> KnownPlan | None:
         """Return one of the last work plans that change the scene; None: unknown."""
         return next((one for one in self._work_plans if one.plan.id == plan_id), None)
@@ -161,11 +147,7 @@ class Received:
         return next((one for one in self._verdicts if one.plan_id == plan_id), None)
 
     def fate(self, plan_id: str, offer: str) -> PlanRecord:
-        """Return what became of a plan, from the topics, else from the executor's record.
-
-        Args:
-            offer: Part of its source, for a plan without known id.
-        """
+        """Return what became of a plan, or without known id of an offer, by the topics, else by the executor's record."""
         plan = self.plan.plan if self.plan is not None else None
         if plan is not None and (plan.id == plan_id or (offer and offer in plan.source)):
             if self.verdict(plan.id) is None and self._publishers("plan"):
@@ -184,8 +166,6 @@ class Received:
         self.plan = None
         return True
 
-    # -- the tool
-
     @property
     def is_tool_known(self) -> bool:
         """Whether the tool's state is known, or it has no publisher."""
@@ -196,4 +176,6 @@ class Received:
         report = self.tool
         if report is None or not report.known or not self._publishers("tool"):
             return GripReading(False, False)
-        return grip_of(tool, report.outputs, report.inputs)
+        commanded = tuple(name for name, value in tool.grip.set.items() if report.outputs.get(name) == value)
+        holds = any(report.inputs.get(name) == value for name, value in tool.grip.confirm.items())
+        return GripReading(True, bool(commanded) or holds, commanded)

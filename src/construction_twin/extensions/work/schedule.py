@@ -1,26 +1,36 @@
 """The order of a building model's tasks: which jobs there are for an arm, what each waits for, and what may start now.
 
-A job is one element that a task without subtasks makes or works on; it is placed before anything works on it. An arm cannot end a
-placing later than it is done, so what the end of a job waits for (``FINISH_FINISH``, ``START_FINISH``), its start waits for here. A
-removal is one element that people take down. Times are arguments, in seconds of any one clock.
+A job is one element that a task without subtasks makes or works on; it is placed before anything works on it. What the end of a job
+waits for (``FINISH_FINISH``, ``START_FINISH``), its start waits for here. A removal is one element that people take down. A model
+without tasks gets a proposal, which a person must accept: what supports an element comes before it, otherwise from below. Times [s]
+are of any one clock.
 """
 
 from __future__ import annotations
 
+import heapq
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
+from typing import Any, TypeVar
 
-from construction_twin.extensions.work.building import BuildingModel, Element, Sequence, Task
-from construction_twin.extensions.work.errors import ScheduleError
-from construction_twin.extensions.work.names import first_few
+import numpy as np
+
+from construction_twin.extensions.work.building import (
+    BuildingModel,
+    Element,
+    ScheduleError,
+    Sequence,
+    Task,
+    first_few,
+    parts_of,
+    workpieces,
+)
 from construction_twin.extensions.work.process import DEFAULT, RECIPE, process_of
-from construction_twin.extensions.work.proposed_schedule import in_order, propose
-from construction_twin.extensions.work.wholes import parts_of, workpieces
 
 #: Takes an element and a task; returns the process by which the task works on it.
 ProcessOf = Callable[[Element, Task], str]
@@ -28,7 +38,7 @@ ProcessOf = Callable[[Element, Task], str]
 
 @dataclass(frozen=True)
 class Wait:
-    """What a job waits for: another one's end (`finished`) or start, and a `lag` since then [s]."""
+    """What a job waits for: another one's end (`finished`) or start, and a `lag` [s]."""
 
     job: str
     finished: bool
@@ -39,10 +49,7 @@ class Wait:
 class Job:
     """One element to be placed, or worked on.
 
-    Attributes:
-        id: The task's GlobalId; of a task that makes several elements: with ``/1``, ``/2``, ... behind it.
-        name: Where several jobs share the task's, the element's stands behind it: ``Panel up: stud 3``.
-        robots: Who may do it; empty: any.
+    `id`: the task's GlobalId, of a task that makes several elements with ``/1``, ``/2``, ... behind it. `robots`: empty: any.
     """
 
     id: str
@@ -61,13 +68,7 @@ class Job:
 
 @dataclass(eq=False)
 class Schedule:
-    """A checked graph of jobs, made by `Schedule.of`.
-
-    Attributes:
-        jobs: In an order in which they can be done: as the tasks are scheduled if all say when, else as in the file.
-        proposed: It, or a part of it, is a proposal from the geometry, which a person must accept.
-        removals: Elements that people take down; what each waits for is in `after`.
-    """
+    """A checked graph of jobs, made by `Schedule.of`; in an order in which they can be done, by dates if all have one."""
 
     jobs: tuple[Job, ...]
     notes: tuple[str, ...]
@@ -76,7 +77,7 @@ class Schedule:
 
     @cached_property
     def placing(self) -> dict[str, str]:
-        """Id of the job that places each element, of those that one does."""
+        """The job that places each element."""
         return {job.element: job.id for job in self.jobs if job.moves}
 
     @cached_property
@@ -92,58 +93,42 @@ class Schedule:
         everything = reading.jobs()
         moments, note = _moments(everything, model)
         reading.notes += [note] if note and not proposed else []
-        jobs: list[Job] = []
-        removals: list[Job] = []
         # what is to be taken down without a task has no date and comes first
         places = {job.id: (moments.get(job.id, -math.inf), number) for number, job in enumerate(everything)}
         by_id = {job.id: job for job in everything}
         before = {job.id: [wait.job for wait in job.after] for job in everything}
-        for name in in_order(before, lambda one: places[one]):
-            (removals if name in reading.removals else jobs).append(by_id[name])
-        return cls(tuple(jobs), tuple(reading.notes), proposed or reading.guessed, tuple(removals))
+        order = [by_id[name] for name in in_order(before, lambda one: places[one])]
+        jobs = tuple(job for job in order if job.id not in reading.removals)
+        removals = tuple(job for job in order if job.id in reading.removals)
+        return cls(jobs, tuple(reading.notes), proposed or reading.guessed, removals)
 
     def job(self, identifier: str) -> Job:
         """Return the job of that id."""
-        if identifier not in self._by_id:
-            raise ScheduleError(f"job {identifier!r}: the schedule has none of that id")
         return self._by_id[identifier]
 
     def waits_for(
         self, identifier: str, started: Mapping[str, float], finished: Mapping[str, float], now: float
     ) -> str:
-        """Return the first thing that a job still waits for: ``after 'Place stud 1' (2xF...) has finished``; empty: it may start.
-
-        `started`, `finished`: When [s], by job id; a job that is finished need not be in `started`.
-        """
+        """Return the first thing that a job still waits for: ``after 2xF... has finished``; empty: it may start."""
         for wait in self.job(identifier).after:
             since = finished.get(wait.job) if wait.finished else started.get(wait.job, finished.get(wait.job))
             if since is not None and since + wait.lag <= now:
                 continue
-            other = self.job(wait.job)
-            after = f"after {other.name!r} ({other.id}) has {'finished' if wait.finished else 'started'}"
+            after = f"after {wait.job} has {'finished' if wait.finished else 'started'}"
             return after if since is None else f"{since + wait.lag - now:.0f} s from now, its lag {after}"
         return ""
 
-
-# -- from tasks to jobs ------------------------------------------------------------------------------------------------
 
 #: What something waits for: lag by job and whether that must be finished.
 _Waits = dict[tuple[str, bool], float]
 
 
 class _Reading:
-    """Tasks and sequences of one model, checked.
-
-    Attributes:
-        removals: Ids of what `jobs` returns for people to take down.
-        guessed: A part of the order is proposed from the geometry.
-    """
+    """Tasks and sequences of one model, checked; `guessed`: a part of the order is proposed from the geometry."""
 
     def __init__(self, model: BuildingModel, process: ProcessOf):
         if not model.tasks:
-            raise ScheduleError(
-                f"{model.file}: it has no tasks; have an order proposed from the geometry and accept it"
-            )
+            raise ScheduleError(f"{model.file}: it has no tasks; have an order proposed and accept it")
         self._model, self._tasks, self._elements, self._process_of = model, model.tasks, model.elements, process
         self.notes: list[str] = []
         self.removals: set[str] = set()
@@ -184,10 +169,8 @@ class _Reading:
                 jobs.append(Job(own, own, f"Take down {element.name or element.id}", element.id, (), ()))
         for job in jobs:
             if job.id in self.removals:
-                remark = (
-                    f"{job.element} is to be taken down ({job.name}): an obstacle until a person says that it is gone"
-                )
-                self.notes.append(f"{remark} (`twin work removed {job.id}`).")
+                remark = f"{job.element} is to be taken down ({job.name}): an obstacle until a person says that it is"
+                self.notes.append(f"{remark} gone (`twin work removed {job.id}`).")
         made = {job.element for job in jobs} | self._standing
         if left := [one for one in workpieces(self._model) if one not in made]:
             remark = f"No task makes {len(left)} of the elements: {first_few(left)}"
@@ -195,7 +178,6 @@ class _Reading:
         return tuple(jobs)
 
     def _with_distinct_names(self, jobs: list[Job]) -> list[Job]:
-        """Return the jobs, those that share a name with their element's behind it."""
         shared = Counter(job.name for job in jobs)
         found = []
         for job in jobs:
@@ -205,7 +187,7 @@ class _Reading:
         return found
 
     def _is_removal(self, identifier: str) -> bool:
-        """Return whether a task removes what is assigned to it: by its kind, or because all of that is to be removed."""
+        """Return whether a task takes down: by its kind, or because all of its products are to be taken down."""
         task = self._tasks[identifier]
         known = [self._elements[one] for one in task.products if one in self._elements]
         demolish = bool(known) and all(element.status == "demolish" for element in known)
@@ -213,7 +195,7 @@ class _Reading:
         return task.kind == "takes_down" or (task.kind == "makes" and demolish and not works)
 
     def _moves(self, identifier: str, element: str) -> bool:
-        """Return whether a task places an element, in place of working on it where it stands."""
+        """Return whether a task places an element."""
         return process_of(self._process_of(self._elements[element], self._tasks[identifier])).moves
 
     def _is_completed(self, identifier: str) -> bool:
@@ -223,17 +205,14 @@ class _Reading:
         return task if len(self._products[task]) == 1 else f"{task}/{number}"
 
     def _above(self, identifier: str) -> Iterator[str]:
-        """Yield the task and those that it nests in, from inside."""
         while identifier:
             yield identifier
             identifier = self._tasks[identifier].parent
 
     def _with_parts(self, ids: Iterable[str]) -> dict[str, None]:
-        """Return elements, each before its parts."""
         return dict.fromkeys(part for one in ids for part in (one, *parts_of(self._elements, one)))
 
     def _checked_sequences(self) -> dict[str, list[Sequence]]:
-        """Return the sequences by the task that waits."""
         into: dict[str, list[Sequence]] = {identifier: [] for identifier in self._tasks}
         for sequence in self._model.sequences:
             ids = (sequence.before, sequence.after)
@@ -251,7 +230,7 @@ class _Reading:
         return into
 
     def _checked_products(self) -> dict[str, tuple[str, ...]]:
-        """Return the elements that each task without subtasks makes, of those that make any."""
+        """Return the elements that each task without subtasks makes or takes down."""
         found: dict[str, tuple[str, ...]] = {}
         maker: dict[str, str] = {}
         works: list[tuple[str, str]] = []
@@ -291,7 +270,7 @@ class _Reading:
         return self._without_temporary(found, maker)
 
     def _to_do(self, identifier: str, known: tuple[str, ...]) -> tuple[str, ...]:
-        """Return what is left for a task to place or to take down: what stands is not placed again."""
+        """Return what is left for a task to do: what stands is not placed again."""
         elements = self._elements
         if self._is_removal(identifier):
             # what the file calls completed still stands here until a person says that it does not
@@ -315,7 +294,7 @@ class _Reading:
         return tuple(dict.fromkeys(found))
 
     def _of_assembly(self, identifier: str, element: str) -> list[str]:
-        """Return the workpieces of what has no body but parts or members that no other task makes, as proposed."""
+        """Return the workpieces in what has no body, but for those of other tasks, in a proposed order."""
         model, parts = self._model, set(parts_of(self._elements, element))
         # also the parts of an assembly within this one that has a task of its own, done or not
         elsewhere: set[str] = set()
@@ -344,25 +323,24 @@ class _Reading:
     def _without_temporary(
         self, found: dict[str, tuple[str, ...]], maker: Mapping[str, str]
     ) -> dict[str, tuple[str, ...]]:
-        """Return what tasks make and take down, without removals of what another one places first: it does not stand yet."""
+        """Return what tasks do, without removals of what another one places first: it does not stand yet."""
         removed: set[str] = set()
         left = {}
         for identifier, elements in found.items():
-            left[identifier] = elements
-            if not self._is_removal(identifier):
-                continue
-            if placed := [element for element in elements if element in maker]:
-                said = f"Task {identifier} takes down {first_few(placed)}, which another task places: not read"
-                self.notes.append(f"{said}, it stays; what comes after does not wait for it to be gone.")
-            left[identifier] = tuple(element for element in elements if element not in {*placed, *removed})
-            removed |= set(elements)
-        return {identifier: elements for identifier, elements in left.items() if elements}
+            if self._is_removal(identifier):
+                if placed := [element for element in elements if element in maker]:
+                    said = f"Task {identifier} takes down {first_few(placed)}, which another task places: not read"
+                    self.notes.append(f"{said}, it stays; what comes after does not wait for it to be gone.")
+                elements = tuple(element for element in elements if element not in {*placed, *removed})
+                removed |= {*elements}
+            if elements:
+                left[identifier] = elements
+        return left
 
     def _all_waits(self) -> dict[str, _Waits]:
-        """Return what the start of each task waits for, in terms of jobs.
+        """Return the jobs that the start of each task waits for.
 
-        Two nodes per task: its start may come (0), and it is done (1). Order goes from a parent's start to its children's, from
-        children to their parent's being done, along sequences from done to start, and through what makes nothing.
+        Two nodes per task: its start may come (0), and it is done (1).
         """
         before: dict[tuple[str, int], list[tuple[str, int]]] = {}
         for identifier, task in self._tasks.items():
@@ -398,13 +376,12 @@ class _Reading:
 
 
 def _merge(waits: _Waits, more: _Waits, lag: float = 0.0) -> None:
-    """Add what waits `lag` longer; the longest lag of each wins."""
     for wait, own in more.items():
         waits[wait] = max(own + lag, waits.get(wait, 0.0))
 
 
 def _moments(jobs: tuple[Job, ...], model: BuildingModel) -> tuple[dict[str, float], str]:
-    """Return the date of each job of a task, and a note; none where one is missing or they cannot be compared."""
+    """Return the dates of jobs, and a note; none where one is missing or they cannot be compared."""
     start_of = {job.id: model.tasks[job.task].start for job in jobs if job.task in model.tasks}
     dates = {one: datetime.fromisoformat(start) for one, start in start_of.items() if start}
     if dates and (missing := len(start_of) - len(dates)):
@@ -414,3 +391,109 @@ def _moments(jobs: tuple[Job, ...], model: BuildingModel) -> tuple[dict[str, flo
     if not dates and not model.sequences and len({job.task for job in jobs if job.id in start_of}) > 1:
         return {}, "The file says no order of its tasks, neither sequences nor dates: they come as they stand in it."
     return {one: date.timestamp() for one, date in dates.items()}, ""
+
+
+T = TypeVar("T")
+#: How far apart, or inside of each other, two faces may be that touch as built [m].
+GAP = 0.006
+#: A face whose normal is closer to the horizontal than this sine supports nothing.
+_STEEP = 0.1
+#: Vertical lines per direction on which the faces of two elements are compared.
+_LINES = 15
+
+
+def propose(model: BuildingModel) -> BuildingModel:
+    """Return the model with a task for each element, in an order in which they can be built, in one that nests them all."""
+    solids = [_Solid(model.elements[identifier]) for identifier in workpieces(model)]
+    if not solids:
+        raise ScheduleError(f"{model.file}: it has no workpiece with geometry; an order cannot be proposed")
+    before: dict[int, set[int]] = {number: set() for number in range(len(solids))}
+    for i, j in _near(solids):
+        for lower, upper in ((i, j), (j, i)):
+            if _rests_on(solids[upper], solids[lower]):
+                before[upper].add(lower)
+    try:
+        order = in_order(before, lambda number: solids[number].key)
+    except CycleError as error:
+        circle = first_few(solids[number].element.id for number in error.args[1][1:])
+        raise ScheduleError(f"{circle} rest on each other in a circle; an order cannot be proposed") from error
+    root = Task("proposed", "Proposed order")
+    tasks = {}
+    for number in order:
+        element = solids[number].element
+        name = f"Place {element.name or element.id}"
+        tasks[number] = Task(f"{element.id}/task", name, parent=root.id, products=(element.id,))
+    sequences = [
+        Sequence(tasks[first].id, tasks[second].id)
+        for second in order
+        for first in sorted(before[second], key=order.index)
+    ]
+    return replace(model, tasks={task.id: task for task in (root, *tasks.values())}, sequences=tuple(sequences))
+
+
+class _Solid:
+    def __init__(self, element: Element):
+        self.element = element
+        pose, (self.low, self.high) = element.model_T_element, element.box
+        corners = [body.vertices[body.triangles] for body in element.bodies]
+        triangles = np.concatenate(corners) @ pose.rotation.T + pose.position
+        first, second = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+        normals = np.cross(first, second)
+        size = np.linalg.norm(normals, axis=1)
+        slope = np.divide(normals[:, 2], size, out=np.zeros(len(size)), where=size > 0.0)
+        self.up, self.down = triangles[slope > _STEEP], triangles[slope < -_STEEP]
+        # lower end in steps of the gap, then the middle's height
+        self.key = (round(float(self.low[2]) / GAP), round(float(self.low[2] + self.high[2]) / GAP))
+
+
+def _near(solids: list[_Solid]) -> list[tuple[int, int]]:
+    """Return pairs of elements whose boxes are closer than the gap."""
+    lows, highs = np.array([one.low for one in solids]), np.array([one.high for one in solids])
+    close = (((lows[:i] <= one.high + GAP) & (highs[:i] >= one.low - GAP)).all(axis=1) for i, one in enumerate(solids))
+    return [(i, int(j)) for i, near in enumerate(close) for j in np.flatnonzero(near)]
+
+
+def _rests_on(upper: _Solid, lower: _Solid) -> bool:
+    low = np.maximum(upper.low, lower.low)[:2]
+    high = np.minimum(upper.high, lower.high)[:2]
+    if np.any(high <= low):
+        return False
+    # lines through the middle of cells, so that none runs along a common edge
+    cells = (np.arange(_LINES) + 0.5 + 1e-3 * np.sqrt(2.0)) / _LINES
+    x, y = np.meshgrid(low[0] + cells * (high[0] - low[0]), low[1] + cells * (high[1] - low[1]))
+    points = np.column_stack((x.ravel(), y.ravel()))
+    band = (max(upper.low[2], lower.low[2]) - GAP, min(upper.high[2], lower.high[2]) + GAP)
+    tops, bottoms = _heights(lower.up, points, band), _heights(upper.down, points, band)
+    # nan, where a line misses a face, is no contact
+    return any(bool(np.any(np.abs(bottom - top) <= GAP)) for top in tops for bottom in bottoms)
+
+
+def _heights(triangles: np.ndarray, points: np.ndarray, band: tuple[float, float]) -> list[np.ndarray]:
+    """Return where vertical lines meet each face that reaches into a band of heights; nan: they do not."""
+    z = triangles[:, :, 2]
+    found = []
+    for a, b, c in triangles[(z.max(axis=1) >= band[0]) & (z.min(axis=1) <= band[1])]:
+        ab, ac, ap = b[:2] - a[:2], c[:2] - a[:2], points - a[:2]
+        area = ab[0] * ac[1] - ab[1] * ac[0]
+        if area == 0.0:
+            continue
+        u = (ap[:, 0] * ac[1] - ap[:, 1] * ac[0]) / area
+        v = (ab[0] * ap[:, 1] - ab[1] * ap[:, 0]) / area
+        inside = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)
+        if inside.any():
+            found.append(np.where(inside, a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2]), np.nan))
+    return found
+
+
+def in_order(before: Mapping[T, Collection[T]], key: Callable[[T], Any]) -> list[T]:
+    """Return things so that each comes after those before it, otherwise by a key."""
+    sorter = TopologicalSorter(before)
+    sorter.prepare()
+    heap: list[tuple[Any, T]] = []
+    order = []
+    while sorter.is_active():
+        for one in sorter.get_ready():
+            heapq.heappush(heap, (key(one), one))
+        order.append(heapq.heappop(heap)[1])
+        sorter.done(order[-1])
+    return order

@@ -9,16 +9,9 @@ from dataclasses import replace
 
 from construction_twin.core.reports import TaskReport, WorkReport
 from construction_twin.core.sentences import Sentence
-from construction_twin.extensions.work.as_built import (
-    OFF,
-    OFF_ANGLE,
-    AsBuilt,
-    pose_tuple,
-)
-from construction_twin.extensions.work.errors import WorkError
+from construction_twin.extensions.work.building import WorkError, with_names
 from construction_twin.extensions.work.ledger import Ledger, TaskStates
-from construction_twin.extensions.work.loaded_model import LoadedModel, Scheduled
-from construction_twin.extensions.work.names import labels, with_names
+from construction_twin.extensions.work.loaded_model import OFF, OFF_ANGLE, AsBuilt, LoadedModel, Scheduled, pose_tuple
 from construction_twin.extensions.work.task_memory import (
     ANSWERS_OF_FORMER,
     PLANNABLE,
@@ -43,10 +36,7 @@ def removed_command(task: str) -> str:
 
 
 class TaskBoard:
-    """Answers what can be done. For one thread; times since 1970 [ns].
-
-    `failures`: Why a task could not be planned last, by id; not on the disk.
-    """
+    """What can be done. For one thread; times since 1970 [ns]. `failures`: why planning failed last, by task id."""
 
     def __init__(self, loaded: LoadedModel, ledger: Ledger, robot: str, tip_link: str):
         self.loaded, self.ledger, self.robot = loaded, ledger, robot
@@ -59,13 +49,13 @@ class TaskBoard:
         return self.ledger.states
 
     def add(self, entry: Entry) -> None:
-        """Write an event of a task; the first one, and each before it is handled, with what the element needs without its model."""
+        """Write an event of a task, with the element's bodies where they may be needed without the model."""
         task, memory = entry.task, self.states.tasks[entry.task]
         handled = entry.event == TaskEvent.OFFERED.value and not memory.in_grip
         if task in self.states.after and (handled or not memory.body) and self.built.element(task).bodies:
             facts = self.built.element(task)
             body, goal = self.ledger.save_bodies(facts.bodies), pose_tuple(facts.base_T_goal)
-            entry = replace(entry, name=facts.name, ifc_class=facts.ifc_class, body=body, goal=goal)
+            entry = replace(entry, name=facts.name, body=body, goal=goal)
         if task in self.states.after and entry.event in _SEEING:
             entry = replace(entry, seen=self.loaded.model_elements[task].digest)
         self.ledger.add(replace(entry, element=self.element_of(task)))
@@ -87,7 +77,7 @@ class TaskBoard:
         return next((job for job in self.states.after if not self.obstacle(job, now)), "")
 
     def obstacle(self, task: str, now: int) -> str:
-        """Return why a task cannot be planned now; empty: it can."""
+        """Return why a task cannot be planned now, empty if it can."""
         states = self.states
         if task not in states.after:
             return f"there is no task {task!r}; `twin work list` names them"
@@ -112,7 +102,7 @@ class TaskBoard:
         if state not in PLANNABLE:
             return f"{self.title(task)} is {state.value}"
         if task in self.loaded.removals:
-            name, say = self.built.element(task).name, removed_command(self.typed_name(task))
+            name, say = self.built.element(task).name, removed_command(task)
             return f"{name} is to be taken down by people; when it is gone, a person says so: {say}"
         robots = self.loaded.schedule.job(task).robots
         if robots and self.robot not in robots:
@@ -137,10 +127,7 @@ class TaskBoard:
         return ""
 
     def empty_grip_remedy(self, commanded: Collection[str]) -> str:
-        """Return what a person does about a grip closed on nothing; empty: it holds something, or is open.
-
-        The next approach would suck too early, and no plan opens it. `commanded`: The outputs that command it to hold.
-        """
+        """Return what a person does about a grip closed on nothing, which no plan opens; `commanded`: outputs that close it."""
         states = self.states
         doubtful = states.in_state(TaskState.ASKS, TaskState.PLANNED, *UNDER_WAY)
         if not commanded or doubtful or states.in_grip:
@@ -170,16 +157,6 @@ class TaskBoard:
     def title(self, task: str) -> str:
         """Return a task's name in sentences, with the id where others have it."""
         return self.loaded.titles.get(task) or repr(self.built.element(task).name)
-
-    def typed_name(self, task: str) -> str:
-        """Return the word that a person types for a task: its name, or its id where others have it."""
-        name = self.built.job(task).name
-        return name if name and self.title(task) == repr(name) else task
-
-    def with_names(self, sentence: str) -> str:
-        """Return a sentence with names in place of ids."""
-        former = labels({each.element: each.name for each in self.states.former.values()})
-        return with_names(sentence, {**self.loaded.titles, **former})
 
     def summary(self, now: int) -> str:
         """Return what the work waits for."""
@@ -246,7 +223,7 @@ class TaskBoard:
         return f"placed, measured by {memory.measured}" if memory.measured else "placed, by the arm's own pose"
 
     def question(self, task: str) -> str:
-        """Return what a person is asked of a task; empty: nothing."""
+        """Return what a person is asked about a task, if anything."""
         memory = self.states.tasks[task]
         if task in self.states.after or memory.state is not TaskState.ASKS:
             return memory.question(self.built.element(task).name)

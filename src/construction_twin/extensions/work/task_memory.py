@@ -12,7 +12,7 @@ from enum import Enum
 from typing import Any, NamedTuple
 
 from construction_twin.core.sentences import Sentence
-from construction_twin.extensions.work.errors import WorkError
+from construction_twin.extensions.work.building import WorkError
 from construction_twin.extensions.work.process import DEFAULT, MODULES, process_of
 
 
@@ -61,12 +61,9 @@ class TaskEvent(Enum):
 
 
 class Row(NamedTuple):
-    """What an event does in a state; of several rows the first one that fits counts.
+    """What an event does in a state; of several rows the first that fits counts.
 
-    Attributes:
-        target: None: the state stays.
-        change: Key of `CHANGES`.
-        when: Attribute of `TaskMemory` that must be true, or the answer that must be given; empty: always.
+    `target`: None: the state stays. `change`: key of `CHANGES`. `when`: true attribute of `TaskMemory`, or the answer given.
     """
 
     state: TaskState
@@ -86,14 +83,13 @@ def _rows(
     change: str = "",
     when: str = "",
 ) -> list[Row]:
-    return [
-        Row(state, event, target, change, when) for state in ([states] if isinstance(states, TaskState) else states)
-    ]
+    every = [states] if isinstance(states, TaskState) else states
+    return [Row(state, event, target, change, when) for state in every]
 
 
 #: States in which a motion of the task may be under way.
 UNDER_WAY = (_S.WORKING, _S.GRIPPING, _S.CARRYING, _S.RELEASING, _S.RETREATING)
-#: States whose end only a person knows when this process has not seen it.
+#: States whose end only a person knows if this process has not seen it.
 _DOUBTFUL = (_S.PLANNED, _S.WORKING, _S.GRIPPING, _S.CARRYING, _S.RELEASING)
 #: States from which a task is planned.
 PLANNABLE = (_S.READY, _S.CARRIED)
@@ -141,8 +137,7 @@ TABLE: tuple[Row, ...] = (
     *_rows((_S.WAITING, _S.READY), _E.SAME, _S.DONE, "placed"),
     # a person says that the element is back in its stock; of what was taken down, that it stands
     *_rows((_S.DONE, _S.SKIPPED, _S.HELD), _E.REDONE, _S.READY, "in stock"),
-    # the model was changed: what the record of the former one says of its elements is no longer sure; of what is
-    # in the grip also a person may doubt, and the tool
+    # the model was changed; of what is in the grip also a person may doubt, and the tool
     *_rows((_S.WAITING, _S.READY, _S.CARRIED, _S.DONE, _S.SKIPPED), _E.UNKNOWN, _S.ASKS, "doubted"),
 )
 
@@ -178,8 +173,7 @@ CHANGES: Mapping[str, Callable[[TaskMemory, Entry], dict[str, Any]]] = {
     },
 }  # fmt: skip
 
-#: What a person can answer; of a task whose process leaves the element where it stands; of what no task of the schedule places any
-#: more, with its word in the ledger.
+#: Answers; of a task whose element stays where it stands; of what no task places any more, with the ledger's word.
 ANSWERS = ("in_stock", "in_grip", "placed", "gone")
 ANSWERS_OF_STAYING = ("done", "not_done")
 ANSWERS_OF_FORMER = {"stands": "placed", "taken_away": "gone"}
@@ -217,14 +211,12 @@ class Entry:
 
     Attributes:
         event: Value of a `TaskEvent`, or one of `OF_NO_TASK`.
-        body: Digest of the element's pieces (`Ledger.save_bodies`), by which it stands without its model.
+        body: Digest of the element's pieces (`Ledger.save_bodies`).
         seen: `ModelElement.digest` when it was handled; `NOT_IN_MODEL`.
         former: Of `same`, `found` and `unknown`: the task that handled the element before.
         source: Of `released` and `same`: `MEASURED` or `PLANNED`.
-        offer: Stands in the plan's `source`, by which a plan without known id is found.
-        process: Of `offered`; empty: `process.DEFAULT`.
+        offer: Stands in the plan's `source`.
         pose, goal: Length 7 or 0. How the element is held (`offered`), where it stands (others); where the model had it.
-        model, schedule: SHA-256.
     """
 
     event: str
@@ -243,7 +235,6 @@ class Entry:
     schedule: str = ""
     process: str = ""
     name: str = ""
-    ifc_class: str = ""
     body: str = ""
     goal: tuple[float, ...] = ()
     seen: str = ""
@@ -279,7 +270,7 @@ def entry_of(fields: Mapping[str, Any]) -> Entry:
 _NOT_HELD = (TaskState.WAITING, TaskState.READY, TaskState.DONE, TaskState.SKIPPED)
 
 #: What lines say of the element; the last one that says it counts.
-_ELEMENT = ("element", "name", "ifc_class", "body", "goal", "seen")
+_ELEMENT = ("element", "name", "body", "goal", "seen")
 
 
 class NotNow(WorkError):
@@ -291,15 +282,13 @@ class NotNow(WorkError):
 
 @dataclass(frozen=True)
 class TaskMemory:
-    """What the ledger says of one task; attributes that `Entry` has are the last ones that are known.
+    """What the ledger says of one task; attributes that `Entry` has are the last known ones.
 
     Attributes:
         before: The state that a question is about.
         gone: Neither in stock nor placed; of a task that is done: taken down.
-        tool0_T_element, base_T_element: Length 7 or 0: position [m], quaternion x, y, z, w. How it is held, or will be; where it
-            stands as built. Empty: unknown.
+        tool0_T_element, base_T_element: Length 7 or 0: position [m], quaternion x, y, z, w.
         as_planned: `base_T_element` is the plan's: nothing was measured.
-        begun_ns, settled_ns: Of the last time, since 1970 [ns]; 0: not yet.
     """
 
     task: str
@@ -320,7 +309,6 @@ class TaskMemory:
     process: str = ""
     element: str = ""
     name: str = ""
-    ifc_class: str = ""
     body: str = ""
     goal: tuple[float, ...] = ()
     seen: str = ""
@@ -331,15 +319,11 @@ class TaskMemory:
         return bool(self.process) and not process_of(self.process).moves
 
     def accepts(self, entry: Entry) -> bool:
-        """Return whether an entry's event fits the present state."""
+        """Return whether an event fits the present state."""
         return self._row(entry) is not None
 
     def with_entry(self, entry: Entry) -> TaskMemory:
-        """Return what is known after one more event of this task.
-
-        Raises:
-            NotNow: If it does not fit the state.
-        """
+        """Return what is known after one more event of this task; raise NotNow if it does not fit."""
         row = self._row(entry)
         if row is None:
             raise NotNow(self.task, self.state, TaskEvent(entry.event))

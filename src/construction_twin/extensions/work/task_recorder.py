@@ -13,8 +13,8 @@ from construction_twin.core.errors import PayloadError, PoseUnknownError
 from construction_twin.core.reports import EngagementReport, ExecutionReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.extensions.work import decisions
-from construction_twin.extensions.work.as_built import as_built, pose_of_tuple, pose_tuple
-from construction_twin.extensions.work.names import first_few
+from construction_twin.extensions.work.building import first_few
+from construction_twin.extensions.work.loaded_model import as_built, pose_of_tuple, pose_tuple
 from construction_twin.extensions.work.received_messages import GripReading, KnownPlan, Received
 from construction_twin.extensions.work.task_board import TaskBoard
 from construction_twin.extensions.work.task_memory import (
@@ -40,12 +40,7 @@ FINISHED = "finished"
 
 @dataclass(frozen=True)
 class PlanActions:
-    """The segments in which a plan acts on its element.
-
-    Attributes:
-        grips, releases: Numbers of the segments that end so; negative: none, or unknown.
-        works: Of the first engaged segment, before which an element that stays is untouched; negative: as above.
-    """
+    """Numbers of the segments at whose end a plan grips and releases, and of the first engaged one; negative: none, or unknown."""
 
     id: str
     grips: int
@@ -79,8 +74,6 @@ def actions_by_outcome(plan_id: str, memory: TaskMemory, outcome: str) -> PlanAc
 
 
 class _Events:
-    """Collects events of a task; each is applied as the ledger will."""
-
     def __init__(self, memory: TaskMemory, plan: str):
         self.memory, self._plan = memory, plan
         self.entries: list[Entry] = []
@@ -101,9 +94,7 @@ def events_of_report(
 ) -> list[Entry]:  # fmt: skip
     """Return the events that a report adds to the task of a plan.
 
-    Args:
-        built: Length 7 or 0. Where the element stands if it is let go now.
-        confirmed: The plan ended at the end of the report's segment, after the tool's switches there.
+    `built`: where the element stands if let go now. `confirmed`: the plan ended after the tool's switches at the segment's end.
     """
     if report.plan_id != plan.id or memory.state not in (TaskState.PLANNED, *UNDER_WAY):
         return []
@@ -178,11 +169,7 @@ def events_after_restart(memory: TaskMemory, fate: PlanRecord, grip: GripReading
 
 
 class TaskRecorder:
-    """Records how the task under way goes on and ends. For one thread.
-
-    Args:
-        arm_pose: Returns joint positions [rad], [m]; raises PoseUnknownError or PayloadError.
-    """
+    """Records how the task under way goes on and ends. For one thread."""
 
     def __init__(
         self, board: TaskBoard, received: Received, chain: Chain, arm_pose: Callable[[], tuple[float, ...]],
@@ -197,19 +184,14 @@ class TaskRecorder:
         self.on_report(report)
         self._drop_if_rejected()
         self.settle_if_lost()
-        # what counts as carried is asked about when the tool is surely open
-        if (
-            not self._received.playing
-            and self.grip().is_surely_open
-            and (sentence := decisions.ask_about_carried(self._board))
-        ):
-            self._log(sentence)
+        if not self._received.playing and self.grip().is_surely_open:
+            # what counts as carried is asked about
+            if sentence := decisions.ask_about_carried(self._board):
+                self._log(sentence)
 
     def grip(self) -> GripReading:
         """Return what the tool says of its grip."""
         return self._received.grip(self._board.loaded.tool)
-
-    # -- the task under way
 
     def on_report(self, report: ExecutionReport | None) -> None:
         """Record what a report means for the task under way."""
@@ -289,8 +271,6 @@ class TaskRecorder:
         held, goal = pose_of_tuple(memory.tool0_T_element), self._board.built.element(memory.task).base_T_goal
         return pose_tuple(as_built(self._chain.forward(q), self._chain.forward(planned), held, goal)), source
 
-    # -- a task that nobody reports
-
     def settle_if_lost(self) -> None:
         """Settle a task under way that the executor does not know."""
         memory, report = self._under_way(), self._received.execution
@@ -343,9 +323,7 @@ def restoring_change(
 ) -> SceneChange | str:
     """Return the change after which an engaged arm can go back, or why none is known.
 
-    Args:
-        segments, changes: Of the plan that ended inside; empty: unknown.
-        forms: Objects of the element as the record can have them.
+    `segments`, `changes`: of the plan that ended inside. `forms`: objects of the element as the ledger can have them.
     """
     tried = [change for segment, change in zip(segments, changes) if segment.scene_after in left.scenes]
     there = tuple(name for name in scene.names if element and name.startswith(f"{element}/"))

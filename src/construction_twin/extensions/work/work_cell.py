@@ -11,7 +11,6 @@ import pydantic
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.validation import configuration_error
-from construction_twin.extensions.work.building import BuildingModel, Element
 from construction_twin.extensions.work.process import Finite, Match, Recipes, Strict, read_recipes
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_rotation
@@ -26,11 +25,9 @@ _RackName = Annotated[str, pydantic.Field(pattern=r"^[a-z][a-z0-9_]*$", max_leng
 
 
 class _Rack(Strict):
-    """Racks with slots, `poses` in the rack's frame: where the middle of the underside of an element's box stands."""
+    """Slots, `poses` in the rack's frame: where the middle of the underside of an element's box stands."""
 
     holds: Match = Match()
-    frame: Literal["base", "model"] = "base"
-    order: Literal["schedule", "file"] = "schedule"
     surface: str = ""
     at: FilePose
     lies: Literal["as_built", "own_axes"] = "as_built"
@@ -75,16 +72,9 @@ class CellFile(Strict):
     tool: str
     recipes: str
     scene: str
-    model_T_base: FilePose | None = None
-    base_element: str = ""
+    model_T_base: FilePose
     supports: tuple[str, ...] = ()
     racks: Annotated[dict[_RackName, Rack], pydantic.Field(min_length=1)]
-
-    @pydantic.model_validator(mode="after")
-    def _one_place(self) -> CellFile:
-        if (self.model_T_base is None) == (not self.base_element):
-            raise ValueError("either model_T_base or base_element")
-        return self
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,15 +87,10 @@ class WorkCell:
     recipes: Recipes
     scene: Scene
 
-    def model_T_base(self, building: BuildingModel) -> Pose:
-        """Return where the robot's base_link is in a model."""
-        if self.file.model_T_base is not None:
-            return pose_of(self.file.model_T_base)
-        return self.base(building).model_T_element
-
-    def base(self, building: BuildingModel) -> Element:
-        """Return the element that stands for the robot's base."""
-        return building.named(self.file.base_element, f"{self.path}/base_element")
+    @property
+    def model_T_base(self) -> Pose:
+        """The robot's base_link in the model."""
+        return pose_of(self.file.model_T_base)
 
 
 def read_work_cell(path: str | Path) -> WorkCell:

@@ -16,10 +16,9 @@ from construction_twin.core.reports import ExecutionReport, WorkReport
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.worker import WorkerError
 from construction_twin.extensions.work import decisions
-from construction_twin.extensions.work.as_built import Deviation, pose_tuple, scene_change
-from construction_twin.extensions.work.errors import WorkError
+from construction_twin.extensions.work.building import WorkError, with_names
 from construction_twin.extensions.work.ledger import Ledger
-from construction_twin.extensions.work.loaded_model import LoadedModel
+from construction_twin.extensions.work.loaded_model import Deviation, LoadedModel, pose_tuple, scene_change
 from construction_twin.extensions.work.process import DEFAULT, TaskMotions
 from construction_twin.extensions.work.received_messages import Received
 from construction_twin.extensions.work.task_board import TaskBoard, WorkRefused
@@ -51,14 +50,9 @@ class UnderReview:
 
 @dataclass(frozen=True)
 class WorkServices:
-    """What the work calls; each raises a ConstructionTwinError, `NoAnswer` where the call may have had its effect.
+    """What the work calls; raises a ConstructionTwinError, `NoAnswer` where the call may have had its effect.
 
-    Attributes:
-        twin_pose, arm_pose: Joint positions [rad], [m].
-        plan: See `worker_functions.plan`.
-        plan_work: Takes task, source and segments.
-        edit_scene: Takes the hash before, a change, and the expected hash or ""; returns the hash after.
-        refuse: Takes reason and sentence.
+    `plan_work` takes task, source and segments; `edit_scene` the hash before, a change, and the expected hash or "".
     """
 
     twin_pose: Callable[[], tuple[float, ...]]
@@ -74,7 +68,7 @@ class WorkServices:
 class WorkProgress:
     """The work on a loaded model, for several threads; its ledger is called after robot and cell file.
 
-    `clock`: Returns the time since 1970 [ns]. `lock`: Guards board and ledger; free while another node is waited for.
+    `clock`: [ns] since 1970. `lock`: guards board and ledger; free while another node is waited for.
     """
 
     def __init__(
@@ -101,12 +95,11 @@ class WorkProgress:
         )
         self.lock = threading.RLock()
         self._planning = threading.Lock()
-        #: Why an engaged arm has no scene to go back in, and what that was found of.
+        #: Why an engaged arm has no scene to go back in.
         self._blocked = ""
-        self._blocked_in: tuple | None = None
 
     def recall(self, listen_time: float) -> None:
-        """Find out what became of a plan that is offered or under way in the ledger; listens so long [s]."""
+        """Find out what became of a plan that is offered or under way in the ledger; `listen_time`: [s]."""
         received = self._received
         # nothing is tidied before it is known whether the arm was left engaged
         received.wait_for(
@@ -133,7 +126,7 @@ class WorkProgress:
         self._change_as_planned(report)
         engaged = received.engaged
         if not engaged:
-            self._blocked, self._blocked_in = "", None
+            self._blocked = ""
         if (idle or engaged) and not received.playing and self._planning.acquire(blocking=False):
             try:
                 if engaged:
@@ -143,10 +136,9 @@ class WorkProgress:
             finally:
                 self._planning.release()
 
-    # -- the scene; without the lock: the scene node is waited for
+    # the scene is changed without the lock: the scene node is waited for
 
     def _change_as_planned(self, report: ExecutionReport | None) -> None:
-        """Change the scene as planned when the executor waits for it; its report has been followed."""
         known, scene, states = self._received.plan, self._received.scene, self.board.states
         if report is None or known is None or scene is None:
             return
@@ -178,7 +170,7 @@ class WorkProgress:
             if scene is None:
                 return "the scene is not known; see why the scene node is down"
             if scene.hash in left.scenes:
-                self._blocked, self._blocked_in = "", None
+                self._blocked = ""
                 return ""
             if received.playing:
                 return Sentence("a plan is under way, and the scene is not the one for the way back; wait for its end")
@@ -189,18 +181,16 @@ class WorkProgress:
                 return Sentence("{task}: how its plan ended is not written yet; ask again", task=board.title(left.task))
             known = received.work_plan(left.plan_id)
             segments, changes = (known.plan.segments, known.changes) if known is not None else ((), ())
-            about = (left.plan_id, left.scenes, scene.hash, bool(segments), memory.state if memory else None)
-            if about == self._blocked_in:
-                return self._blocked
             element = board.element_of(left.task) if memory is not None else ""
             forms = board.built.forms(left.task) if memory is not None else ()
             found = restoring_change(left, scene, segments, changes, element, forms)
         if isinstance(found, str):
-            self._blocked, self._blocked_in = found, about
-            self._services.refuse("engagement", found)
-            return found
-        # tried again as long as the scene node refuses
-        self._blocked, self._blocked_in = self._edit(scene.hash, found, found.apply(scene).hash), None
+            if found != self._blocked:
+                self._services.refuse("engagement", found)
+            self._blocked = found
+        else:
+            # tried again as long as the scene node refuses
+            self._blocked = self._edit(scene.hash, found, found.apply(scene).hash)
         return self._blocked
 
     def _edit(self, before: str, wanted: SceneChange, after: str = "") -> str:
@@ -218,12 +208,7 @@ class WorkProgress:
     # -- planning
 
     def plan(self, asked: str, patience: float) -> UnderReview:
-        """Have a task planned, or while the arm is engaged the way back.
-
-        Args:
-            asked: Empty: the next one.
-            patience: Longest wait for another planning [s].
-        """
+        """Have a task (empty: the next one) planned, or while the arm is engaged the way back; `patience`: [s]."""
         if not self._planning.acquire(timeout=patience):
             raise WorkRefused("a task is being planned already; wait for it")
         received = self._received
@@ -267,14 +252,13 @@ class WorkProgress:
         try:
             plan = self._services.plan(task=task, element=board.element_of(task), start=start, scene=scene, held=held)
         except (WorkError, WorkerError) as error:
-            board.failures[task] = board.with_names(str(error))
+            board.failures[task] = with_names(str(error), board.loaded.titles)
             raise WorkRefused(board.failures[task]) from error
         board.failures.pop(task, None)
         self._services.log(f"{board.title(task)}: planned with {plan.method}")
         return self._offer(task, plan)
 
     def _offer(self, task: str, plan: TaskMotions) -> UnderReview:
-        """Put a plan under review; the ledger has it before the planner."""
         board, offer = self.board, uuid.uuid4().hex[:12]
         title, process = board.title(task), board.loaded.schedule.job(task).process
         held = () if plan.tool0_T_element is None else pose_tuple(plan.tool0_T_element)

@@ -6,8 +6,8 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Collection, Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,31 +15,24 @@ import numpy as np
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.worker import rss_mb, serve_parent
-from construction_twin.extensions.work.as_built import pose_of_tuple
-from construction_twin.extensions.work.building import BuildingModel, Element
+from construction_twin.extensions.work.building import BuildingModel, Element, PlacementError, wholes
 from construction_twin.extensions.work.element_bodies import box_of, element_shapes, element_triangles
-from construction_twin.extensions.work.errors import PlacementError, TaskPlanningError
 from construction_twin.extensions.work.ifc.reading import read_building
 from construction_twin.extensions.work.layout import Layout
-from construction_twin.extensions.work.loaded_model import ElementFacts, LoadedModel, Scheduled
+from construction_twin.extensions.work.loaded_model import ElementFacts, LoadedModel, Scheduled, pose_of_tuple
 from construction_twin.extensions.work.motions import TaskPlanner
-from construction_twin.extensions.work.names import first_few
-from construction_twin.extensions.work.process import TaskMotions, WorkJob, process_of
-from construction_twin.extensions.work.proposed_schedule import propose
-from construction_twin.extensions.work.schedule import Schedule
-from construction_twin.extensions.work.wholes import wholes
+from construction_twin.extensions.work.process import TaskMotions, TaskPlanningError, WorkJob, process_of
+from construction_twin.extensions.work.schedule import Schedule, propose
 from construction_twin.extensions.work.work_cell import WorkCell, pose_of, read_work_cell
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.robot.description import RobotModel
-from construction_twin.scene.objects import Scene, SceneObject, product, tool_objects
+from construction_twin.scene.objects import Scene, SceneObject, tool_objects
 from construction_twin.scene.self_collision import read_self_collision
 
 #: By how much bodies may be larger than their element without being told [m].
 _TOLD = 0.0005
-#: Points of the tool's path that are kept are this far apart [s].
-_PATH_STEP = 0.1
 #: What is carried reaches further than the tool: half of the longest element that an arm carries, and something [m].
 _CARRIED = 5.0
 
@@ -49,11 +42,10 @@ class CheckedTask:
     """What was found for one job.
 
     Attributes:
-        grip: `TaskMotions.method`, or the one that came furthest; empty: none.
-        track: First linear joint where the process acts at the element's place [m].
+        grip: `TaskMotions.method`, or the one that came furthest.
+        track: First linear joint where the process acts [m].
         duration: Of all motions [s], without the waiting for the tool.
         stage, reason: What was not possible, and why.
-        path: Of the tool's centre point in the base [m].
     """
 
     number: int
@@ -68,7 +60,6 @@ class CheckedTask:
     planning: float = 0.0
     stage: str = ""
     reason: str = ""
-    path: tuple[tuple[float, float, float], ...] = field(default=(), repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +73,7 @@ class PlanningContext:
     unplannable: Mapping[str, str]
 
     def check(self, number: int) -> CheckedTask:
-        """Plan one job of the schedule, by its number from 0, from home and with all that comes before it standing as designed."""
+        """Plan a job by its number from 0, from home and with all that comes before it standing as designed."""
         job, building = self.schedule.jobs[number], self.layout.building
         began = time.monotonic()
         found = CheckedTask(number, job.name, job.element, building.element(job.element).name, False)
@@ -95,7 +86,7 @@ class PlanningContext:
             reason = str(error)
             if isinstance(error, TaskPlanningError):
                 found, reason = replace(found, stage=error.stage, grip=error.method), error.reason
-            return replace(found, planning=time.monotonic() - began, reason=building.with_names(reason, job.element))
+            return replace(found, planning=time.monotonic() - began, reason=building.with_names(reason))
         acts = process_of(job.process).acts
         at = next(segment for segment in plan.segments if segment.name == acts).trajectory.positions[-1]
         return replace(
@@ -105,12 +96,10 @@ class PlanningContext:
             track=next((float(value) for value, linear in zip(at, self.robot.linear) if linear), None),
             clearance=float(plan.clearance),
             duration=float(plan.duration),
-            path=tuple(self._path(plan)),
             planning=time.monotonic() - began,
         )
 
     def _turn(self, number: int) -> tuple[Scene, WorkJob]:
-        """Return scene and job when everything before it stands, of what has geometry."""
         job, layout = self.schedule.jobs[number], self.layout
         before = [each.element for each in self.schedule.jobs[:number] if each.element in layout.order]
         # what it waits for, at first or second hand
@@ -122,14 +111,6 @@ class PlanningContext:
         gone = frozenset(each.element for each in self.schedule.removals if each.id in waited)
         scene = layout.scene({one: layout.base_T_goal(one) for one in before}, gone)
         return scene, layout.job_for(job.element, scene, job.id)
-
-    def _path(self, plan: TaskMotions) -> Iterator[tuple[float, float, float]]:
-        chain, tool0_T_tcp = Chain(self.robot), pose_of(self.layout.work_cell.tool.tool.tool0_T_tcp)
-        for segment in plan.segments:
-            count = max(2, int(segment.trajectory.duration / _PATH_STEP))
-            for q in segment.trajectory.sample_many(np.linspace(0.0, segment.trajectory.duration, count))[0]:
-                x, y, z = product(chain.forward(q), tool0_T_tcp).position
-                yield round(float(x), 3), round(float(y), 3), round(float(z), 3)
 
 
 #: Filled by `load_model`; the process serves one parent.
@@ -144,7 +125,7 @@ def load_model(
     planner: Mapping[str, Any],
     cache: str,
 ) -> LoadedModel:
-    """Read a model, a path of an IFC file or what was read of it, and its cell; `cache`: folder for what is made of it."""
+    """Read a model (path of an IFC file, or what was read) and its cell; `cache`: folder."""
     work_cell = read_work_cell(cell)
     building = read_building(model, Path(cache) / "models") if isinstance(model, str) else model
     proposed = not building.tasks
@@ -155,8 +136,7 @@ def load_model(
     chain = Chain(robot)
     tool = pose_of(work_cell.tool.tool.tool0_T_tcp)
     reach = chain.reach + float(np.linalg.norm(chain.shoulder)) + float(np.linalg.norm(tool.position))
-    base = work_cell.base(building).id if work_cell.file.base_element else ""
-    placement = check_placement(building, work_cell.model_T_base(building), reach, base)
+    check_placement(building, work_cell.model_T_base, reach)
     # what is doubted, or has no usable body, stands as an obstacle, and does not stop the others
     doubted = {one: building.element(one).doubt for one in order if building.element(one).doubt}
     bodies = Path(cache) / "bodies"
@@ -173,9 +153,8 @@ def load_model(
         elements[element] = ElementFacts(
             read.name or read.tag or element, pieces.get(element, ()),
             layout.base_T_goal(element), element_triangles(read), _mass(work_cell, building, schedule, read),
-            read.ifc_class,
         )  # fmt: skip
-    notes = [*building.notes, *placement, *failures.values(), *boxed]
+    notes = [*building.notes, *failures.values(), *boxed]
     notes += [
         f"{element} is planned with bodies up to {1e3 * shape.excess:.1f} mm larger than it is."
         for element, shape in shapes.items()
@@ -212,7 +191,7 @@ def load_model(
 
 
 def _mass(work_cell: WorkCell, building: BuildingModel, schedule: Schedule, element: Element) -> float | None:
-    """Return the mass that an element is planned with [kg]; None: nobody says, or its recipe is wrong, which planning tells."""
+    """Return the mass that an element is planned with [kg]; None: unknown."""
     placing = schedule.placing.get(element.id)
     task = building.tasks.get(schedule.job(placing).task) if placing else None
     job = WorkJob(element.id, element, task_properties=task.properties if task is not None else {})
@@ -224,12 +203,7 @@ def _mass(work_cell: WorkCell, building: BuildingModel, schedule: Schedule, elem
 
 
 def plan(task: str, element: str, start: tuple[float, ...], scene: Scene, held: tuple[float, ...] = ()) -> TaskMotions:
-    """Plan a task.
-
-    Args:
-        start: Length n. Where the arm stands.
-        held: Length 7 or 0. ``tool0_T_element`` of an element in the grip; empty: it lies in its stock.
-    """
+    """Plan a task; `held`: length 7 or 0, ``tool0_T_element`` of an element in the grip."""
     if not _CONTEXTS:
         raise TaskPlanningError(task, "the model has not been read in this process yet")
     context = _CONTEXTS[0]
@@ -237,43 +211,28 @@ def plan(task: str, element: str, start: tuple[float, ...], scene: Scene, held: 
     try:
         return context.planner.plan(job, start, scene, held=pose_of_tuple(held) if held else None)
     except TaskPlanningError as error:
-        reason = context.layout.building.with_names(error.reason, element)
+        reason = context.layout.building.with_names(error.reason)
         raise TaskPlanningError(error.task, reason, error.stage, error.method) from error
 
 
 def check(number: int) -> tuple[CheckedTask, int, float]:
-    """Return what was found for one job of the schedule, by its number from 0; this process, and its memory [MB]."""
+    """Return what was found for a job by its number from 0, this process, and its memory [MB]."""
     return _CONTEXTS[0].check(number), os.getpid(), rss_mb()
 
 
-# -- what stands, and where
-
-
-def check_placement(model: BuildingModel, model_T_base: Pose, reach: float, base: str = "") -> tuple[str, ...]:
-    """Return what is out of reach while others are not, as one sentence, or nothing.
-
-    Args:
-        reach: Largest distance of the tool's centre point from the base's origin, along a track [m].
-        base: Id of the element that stands for the robot's base, which is not compared.
-    """
-    boxes = {one.id: one.box for one in model.elements.values() if one.bodies and one.id != base}
+def check_placement(model: BuildingModel, model_T_base: Pose, reach: float) -> None:
+    """Refuse a model out of reach."""
+    boxes = {one.id: one.box for one in model.elements.values() if one.bodies}
     if not boxes:
         raise PlacementError(f"{model.file}: no element has geometry, so nothing can be placed")
     distances = {name: _distance(box, model_T_base) for name, box in boxes.items()}
-    far = [name for name, distance in distances.items() if distance > reach]
-    if len(far) == len(boxes):
-        nearest = min(distances, key=lambda one: distances[one])
+    nearest = min(distances, key=lambda one: distances[one])
+    if distances[nearest] > reach:
         low, high = np.min(list(boxes.values()), axis=(0, 1)), np.max(list(boxes.values()), axis=(0, 1))
         said = f"all {len(boxes)} elements are out of the robot's reach of {reach:.2f} m: the nearest"
         base_at = f"{distances[nearest]:.2f} m from its base at {_figures(model_T_base.position)}"
         stand = f"The elements stand at {_figures(low)} to {_figures(high)}."
         raise PlacementError(f"{said}, element {model.labels.get(nearest, nearest)}, is {base_at}. {stand}")
-    if not far:
-        return ()
-    called = first_few(model.labels.get(one, one) for one in far)
-    called = f"element {called}" if len(far) == 1 else f"{len(far)} elements ({called})"
-    limits = f"up to {max(distances.values()):.2f} m from the base, reach {reach:.2f} m"
-    return (f"{called} out of reach whatever the arm does: {limits}.",)
 
 
 def _distance(box: np.ndarray, model_T_base: Pose) -> float:
@@ -289,21 +248,13 @@ def _figures(values: np.ndarray) -> str:
 def standing_obstacles(
     building: BuildingModel, made_by_tasks: Collection[str], work_cell: WorkCell, reach: float, folder: Path
 ) -> tuple[dict[str, tuple[SceneObject, ...]], list[str]]:
-    """Return what no task makes and the arm, or what it carries, can reach.
-
-    Args:
-        made_by_tasks: Ids of the elements that tasks make; what they are parts of stands no more than they do.
-
-    Returns:
-        Convex pieces of each element in its own frame, ``<GlobalId>/<number>``, and a sentence for each for which its box stands.
-    """
+    """Return the convex pieces of what no task makes and the arm, or what it carries, can reach, and notes."""
     # what exists stands, whatever new is a part of it
     whole = {
         one for name in made_by_tasks for one in wholes(building.elements, name) if not building.elements[one].status
     }
-    left_out = {*made_by_tasks, *whole, *([work_cell.base(building).id] if work_cell.file.base_element else [])}
-    base, most = work_cell.model_T_base(building), reach + _CARRIED
-    others = [one for one in building.elements.values() if one.bodies and one.id not in left_out]
+    base, most = work_cell.model_T_base, reach + _CARRIED
+    others = [one for one in building.elements.values() if one.bodies and one.id not in {*made_by_tasks, *whole}]
     shapes, failures = element_shapes([one for one in others if _distance(one.box, base) <= most], folder)
     sentence = "cannot be divided into bodies, its box is the obstacle, and the arm does not place it"
     notes = [f"{name} {sentence}: {failure}" for name, failure in failures.items()]

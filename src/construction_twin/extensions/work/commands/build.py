@@ -57,8 +57,6 @@ class Builder:
         self._client = OperatorClient(rospy.get_namespace(), settings.timeout, PERSON)
         self._confirm = read_tool(settings.tool).tool.grip.confirm
         self._newest: dict[str, Any] = {topic: kind() for topic, kind in _TOPICS.items()}
-        #: Plans and their times [s] of each task.
-        self._efforts: dict[str, dict[str, float]] = {}
         self._subscribers = [
             Subscriber(topic, kind, partial(self._newest.__setitem__, topic), warn_of_refusals(), queue_size=5)
             for topic, kind in _TOPICS.items()
@@ -72,63 +70,56 @@ class Builder:
             self._decide("accept_schedule")
             self._wait(lambda: self._work.schedule == "accepted", "the schedule to be accepted")
         wanted = [task.id for task in self._work.tasks][: self._settings.most or None]
-        self._efforts = {task: {"plans": 0, "planning_s": 0.0, "motion_s": 0.0} for task in wanted}
         failure = ""
         try:
             for number, task in enumerate(wanted, start=1):
                 self._finish_task(task, f"{number} of {len(wanted)}: {self._row(task).name}")
         except (ConstructionTwinError, rospy.ROSException, rospy.ServiceException) as error:
             failure = str(error)
-        missing = [self._row(task).name for task in wanted if self._row(task).state != "done"]
-        file = self._write(len(missing))
-        if missing:
+        file = self._write(wanted)
+        if missing := [self._row(task).name for task in wanted if self._row(task).state != "done"]:
             raise ConstructionTwinError(f"{failure or 'not done: ' + ', '.join(missing)}; see {file}")
         return file
 
-    def _write(self, missing: int) -> Path:
-        tasks = [task for task in from_msg(WorkReport, self._work).tasks if task.id in self._efforts]
-        elements = [{**json_value(task), **self._efforts[task.id]} for task in tasks]
+    def _write(self, wanted: list[str]) -> Path:
+        tasks = [task for task in from_msg(WorkReport, self._work).tasks if task.id in wanted]
         results = Path(self._settings.results_dir).expanduser()
         directory = results / time.strftime("%Y-%m-%d_%H-%M-%S_build")
         directory.mkdir(parents=True)
-        content = {"tasks": len(tasks), "done": len(tasks) - missing, "elements": elements}
+        done = sum(task.state == "done" for task in tasks)
+        content = {"tasks": len(tasks), "done": done, "elements": [json_value(task) for task in tasks]}
         (directory / "work.json").write_bytes(to_json(content))
         point_latest(results, directory)
         return directory / "work.json"
 
     def _finish_task(self, task: str, title: str) -> None:
-        effort = self._efforts[task]
-        rests = ("ready", "carried", "asks", *_SETTLED)
+        rests, plans = ("ready", "carried", "asks", *_SETTLED), 0
         while True:
             # what comes before it was done a moment ago, or its plan has ended
             self._wait(lambda: self._row(task).state in rests, f"task {task}")
             row = self._row(task)
             if row.state in _SETTLED:
-                break
+                far = f", {row.deviation_mm:.3f} mm off" if math.isfinite(row.deviation_mm) else ""
+                self._print(f"{title}: {row.state}{far}")
+                return
             if row.state == "asks":
                 self._answer(row)
-            elif effort["plans"] >= _MOST_PLANS:
+            elif plans >= _MOST_PLANS:
                 raise ConstructionTwinError(f"{title} is not done after {_MOST_PLANS} plans")
             else:
+                plans += 1
                 self._wait(self._is_ready, "the system to get ready")
-                self._plan_and_play(row, title, effort)
-        far = f", {row.deviation_mm:.3f} mm off" if math.isfinite(row.deviation_mm) else ""
-        took = f"planned in {effort['planning_s']:.1f} s, {effort['motion_s']:.1f} s of motion"
-        self._print(f"{title}: {row.state}, {took}{far}")
+                self._plan_and_play(row, title)
 
-    def _plan_and_play(self, row: WorkTask, title: str, effort: dict[str, float]) -> None:
-        asked = time.monotonic()
+    def _plan_and_play(self, row: WorkTask, title: str) -> None:
         try:
             plan = self._client.plan(GoalRequest("work_task", task=row.id)).fields
         except RequestRefused as error:
             raise ConstructionTwinError(f"{title} cannot be planned: {error}") from error
         plan_id = str(plan["plan_id"])
-        effort |= {"plans": effort["plans"] + 1, "planning_s": time.monotonic() - asked}
         verdict = ReviewRequest(plan_id, str(plan["plan_hash"]), "approved", PERSON, "nobody is near a mock arm")
         self._wait(lambda: self._approve(verdict), f"plan {plan_id} to be approved")
-        began = time.monotonic()
         self._wait(lambda: self._is_over(plan_id), f"plan {plan_id} to end")
-        effort["motion_s"] = time.monotonic() - began
         execution = self._newest["execution"]
         if execution.outcome != "finished":
             self._print(f"{title}: {execution.outcome}: {execution.reason}")

@@ -11,7 +11,7 @@ from geometry_msgs.msg import PoseStamped
 
 from construction_twin.core.errors import RequestRefused
 from construction_twin.core.reports import TaskReport, WorkReport
-from construction_twin.extensions.work.names import labels, with_names
+from construction_twin.extensions.work.building import labels, with_names
 from construction_twin.link.requests import GoalRequest
 from construction_twin.msg import WorkTasks
 from construction_twin.ros.messages.convert import pose_to_msg

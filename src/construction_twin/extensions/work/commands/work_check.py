@@ -19,7 +19,6 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import yaml
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -75,7 +74,7 @@ def main(arguments: list[str]) -> int:
 
 @dataclass(frozen=True)
 class Checked:
-    """What was found, in the order of the schedule; `rss_mb`: of all processes together, what they share counted in each."""
+    """What was found, in the order of the schedule; `rss_mb`: of all processes, what they share counted in each."""
 
     loaded: LoadedModel
     tasks: tuple[CheckedTask, ...]
@@ -84,12 +83,7 @@ class Checked:
 
 
 def check_all(processes: int, console: Console | None = None, robot_name: str = "", **arguments: Any) -> Checked:
-    """Check every job of a model that a robot may do, each in one of several processes.
-
-    Args:
-        console: Shows how many are done.
-        robot_name: Empty: any. The others' elements are placed in their turn, too.
-        arguments: What `worker_functions.load_model` takes.
+    """Check every job of a model that a robot (empty: any) may do, in several processes; `arguments`: of `load_model`.
 
     Raises:
         WorkerError: With an empty `kind` if a process was ended, by want of memory for instance.
@@ -181,15 +175,13 @@ def cell_picture(tasks: Sequence[CheckedTask], loaded: LoadedModel) -> bytes:
     figure = Figure(figsize=(9, 7))
     FigureCanvasAgg(figure)
     axes = figure.add_subplot(aspect="equal", xlabel="x in the base, m", ylabel="y in the base, m")
-    axes.set_title("triangle: base, grey: stock, green: can be placed, red: cannot, blue: paths of the tool")
+    axes.set_title("triangle: base, grey: stock, green: can be placed, red: cannot")
     axes.plot(0.0, 0.0, "k^")
     for task in tasks:
         facts, slot = loaded.elements[task.element], loaded.stock.slots.get(task.element)
         if slot is not None:
             axes.plot(*slot.base_T_element.position[:2], ".", color="grey")
         axes.plot(*facts.base_T_goal.position[:2], ".", color="green" if task.possible else "red")
-        if task.path:
-            axes.plot(*np.array(task.path).T[:2], color="blue", linewidth=0.4)
     buffer = io.BytesIO()
     figure.savefig(buffer)
     return buffer.getvalue()

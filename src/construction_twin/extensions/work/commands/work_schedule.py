@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING, Any
 from construction_twin.core.errors import ConstructionTwinError, command_message
 from construction_twin.core.extensions import check_extras
 from construction_twin.core.files import check_writable
-from construction_twin.extensions.work.errors import ScheduleError
-from construction_twin.extensions.work.names import first_few
+from construction_twin.extensions.work.building import ScheduleError, first_few
 
 if TYPE_CHECKING:
     import ifcopenshell
@@ -56,13 +55,7 @@ def main(arguments: list[str]) -> int:
 
 
 def convert(model: Path, plan: Path, output: Path, activity: str, element: str, pattern: str) -> list[str]:
-    """Write a model with a plan's tasks as its schedule; return what was done, in sentences.
-
-    Args:
-        activity: What of an activity names elements: ``Name``, ``Identification``, or a user-defined field or code.
-        element: What of an element is named: ``Name``, ``Tag``, ``GlobalId``, or ``Pset.Property``.
-        pattern: The activity's text, ``{}`` for the elements.
-    """
+    """Write a model with a plan's tasks as its schedule; return what was done, in sentences. Arguments as the options."""
     import ifcopenshell
 
     if pattern.count("{}") != 1:
@@ -140,7 +133,6 @@ def _add_tasks(file: ifcopenshell.file, plan: Path) -> str:
 
 
 def _named(file: ifcopenshell.file, field: str) -> dict[str, list[Any]]:
-    """Return what activities can name, by its text in lower case."""
     named = defaultdict(list)
     for entity in (each for kind in _NAMED for each in file.by_type(kind)):
         if text := _text(entity, field):
@@ -149,7 +141,7 @@ def _named(file: ifcopenshell.file, field: str) -> dict[str, list[Any]]:
 
 
 def _text(entity: Any, field: str) -> str:
-    """Return an attribute or a property (``Pset.Property``, or the property of any set) as a text; empty: there is none."""
+    """Return an attribute or a property (``Pset.Property``, or of any set) as a text, empty without one."""
     import ifcopenshell.util.element
 
     value = getattr(entity, field, None)

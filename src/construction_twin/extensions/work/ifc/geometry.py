@@ -1,7 +1,6 @@
 """Bodies of products as triangles, by ifcopenshell's geometry kernel, in the element's frame [m].
 
-Openings are cut out by manifold3d: the kernel leaves away what it cannot cut. A box stands for what it fails at. Mapped items are
-counted before it follows them: a loop, or a few lines that mean a million copies, is refused.
+Openings are cut out by manifold3d: the kernel leaves away what it cannot cut. A box stands for what it fails at.
 """
 
 from __future__ import annotations
@@ -18,10 +17,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from construction_twin.extensions.work.building import Body
-from construction_twin.extensions.work.errors import BuildingError
-from construction_twin.extensions.work.ifc.notes import Notes, ReadingEntity, label
-from construction_twin.extensions.work.names import first_few
+from construction_twin.extensions.work.building import Body, BuildingError, first_few
+from construction_twin.extensions.work.ifc.notes import Notes, label
 from construction_twin.scene.solids import mesh_of, solid, welded
 
 _Entity = ifcopenshell.entity_instance
@@ -41,9 +38,6 @@ _NO_BODIES = (
 _FLAT = ("IfcFacetedBrep", "IfcTessellatedFaceSet")
 #: What reaches nowhere, or without an end and only cuts.
 _NO_REACH = ("IfcHalfSpaceSolid", "IfcRepresentationContext", "IfcDirection", "IfcPresentationItem")
-#: Copies by mapped items, and operands of booleans, of one element.
-MOST_ITEMS = 100_000
-DEEPEST = 200
 #: Triangles of a file.
 MOST_TRIANGLES = 8_000_000
 #: Farther from its own origin [m] no element reaches; some exporters write the whole building into one frame.
@@ -76,13 +70,7 @@ _SETTINGS.set("mesher-angular-deflection", _ANGLE)
 
 @dataclass(frozen=True)
 class Shape:
-    """What the kernel made of a product.
-
-    Attributes:
-        bodies: In the frame of `model_T_shape`.
-        model_T_shape: Shape (4, 4) [m]; None: the element's own frame.
-        doubt: Why the bodies, or the box around all that they can be, are no workpiece; empty: they are one.
-    """
+    """Bodies of a product in a frame, shape (4, 4) [m], None: the element's own; and why they are doubtful."""
 
     id: int
     bodies: tuple[Body, ...]
@@ -102,41 +90,20 @@ def shapes(
     openings: Mapping[int, Sequence[_Entity]],
     unit: float,
     notes: Notes,
-    read_log: Callable[[_Entity], bool],
+    read_log: Callable[[_Entity], None],
 ) -> Iterator[Shape]:
     """Make the bodies of products; one of which nothing is made has none, and is doubted.
 
-    Args:
-        openings: What is cut from a product, by its id.
-        unit: Metres per length unit.
-        read_log: Called with a product when the kernel has made what it can of it; returns whether it reported anything.
+    `openings`: what is cut from a product, by its id. `unit`: metres per length unit. `read_log`: called with a product when the
+    kernel has made what it can of it.
     """
-    every_opening = [each for of_product in openings.values() for each in of_product]
-    cuts = {each.id(): body for each in every_opening if (body := body_of(each)) is not None}
-    counts: dict[int, int] = {}
-    for representation in (*bodies.values(), *cuts.values()):
-        _count(name, representation, counts)
+    cuts = {each.id(): body for of in openings.values() for each in of if (body := body_of(each)) is not None}
     holes = {shape.id: shape for shape in _kernel_shapes(file, name, cuts, read_log)}
-    # 4,000 copies of one mapped body take 11 s when the kernel makes each of them
-    first: dict[tuple[object, ...], int] = {}
-    copies: dict[int, list[int]] = {}
-    for number, representation in bodies.items():
-        mapping = () if openings.get(number) else _mapping(file.by_id(number), representation)
-        if mapping and first.setdefault(mapping, number) != number:
-            copies.setdefault(first[mapping], []).append(number)
-    copied = {number for numbers in copies.values() for number in numbers}
     missing = dict(bodies)
-    for of_copies in (False, True):
-        left = {number: body for number, body in missing.items() if (number in copied) == of_copies}
-        for shape in _kernel_shapes(file, name, left, read_log):
-            items = list(_resolved(missing.pop(shape.id)))
-            own_openings = [each.id() for each in openings.get(shape.id, ()) if each.id() in cuts]
-            made = _shape(shape, items, own_openings, holes, unit, file.by_id(shape.id).GlobalId, notes)
-            yield made
-            # what the kernel reports of one it reports of each
-            for number in () if shape.reported else copies.get(shape.id, ()):
-                del missing[number]
-                yield replace(made, id=number, model_T_shape=None)
+    for shape in _kernel_shapes(file, name, bodies, read_log):
+        items = list(_resolved(missing.pop(shape.id)))
+        own_openings = [each.id() for each in openings.get(shape.id, ()) if each.id() in cuts]
+        yield _shape(shape, items, own_openings, holes, unit, file.by_id(shape.id).GlobalId, notes)
     for number, representation in missing.items():
         # one of lines alone has nothing to touch
         if any(map(_has_surface, file.traverse(representation))):
@@ -153,11 +120,10 @@ class _KernelShape:
     triangles: np.ndarray
     owners: np.ndarray
     matrix: np.ndarray
-    reported: bool
 
 
 def _kernel_shapes(
-    file: ifcopenshell.file, name: str, bodies: Mapping[int, _Entity], read_log: Callable[[_Entity], bool]
+    file: ifcopenshell.file, name: str, bodies: Mapping[int, _Entity], read_log: Callable[[_Entity], None]
 ) -> Iterator[_KernelShape]:
     """Yield the kernel's shapes of representations that have triangles, openings still filled."""
     total = 0
@@ -168,7 +134,7 @@ def _kernel_shapes(
             shape = ifcopenshell.geom.create_shape(_SETTINGS, product, representation)
         except RuntimeError:
             pass  # its log says why
-        reported = read_log(product)
+        read_log(product)
         if shape is None:
             continue
         mesh = shape.geometry
@@ -184,7 +150,7 @@ def _kernel_shapes(
         if len(triangles):
             owners = np.frombuffer(mesh.item_ids_buffer, dtype=np.int32).copy()
             matrix = np.array(shape.transformation.matrix, dtype=float).reshape(4, 4, order="F")
-            yield _KernelShape(number, vertices, triangles, owners, matrix, reported)
+            yield _KernelShape(number, vertices, triangles, owners, matrix)
 
 
 def _shape(
@@ -214,7 +180,6 @@ def _shape(
 def _cut(
     kernel_shape: _KernelShape, bodies: Sequence[Body], openings: Sequence[int], holes: Mapping[int, _KernelShape]
 ) -> list[manifold3d.Manifold]:
-    """Return the bodies less openings; none where one cannot be cut out."""
     left = [one for body in bodies if (one := solid(body.vertices, body.triangles)) is not None]
     if len(left) < len(bodies) or any(number not in holes for number in openings):
         return []
@@ -270,15 +235,11 @@ def _bodies(kernel_shape: _KernelShape, items: list[_Entity], about: str, notes:
 
 
 def _split(triangles: np.ndarray) -> list[np.ndarray]:
-    """Return the connected parts."""
     count = int(triangles.max()) + 1
     ends = np.concatenate([triangles[:, :2], triangles[:, 1:]])
     graph = coo_array((np.ones(len(ends), dtype=np.int8), (ends[:, 0], ends[:, 1])), shape=(count, count))
     of = connected_components(graph, directed=False)[1][triangles[:, 0]]
     return [triangles[of == each] for each in np.unique(of)]
-
-
-# -- representations
 
 
 def body_of(product: _Entity) -> _Entity | None:
@@ -293,56 +254,6 @@ def body_of(product: _Entity) -> _Entity | None:
         if representation.RepresentationIdentifier not in _NO_BODIES and representation.RepresentationType in _SOLID:
             return representation
     return None
-
-
-def _count(name: str, node: _Entity, counts: dict[int, int], path: tuple[int, ...] = ()) -> int:
-    """Return how many items a representation or item comes to; refuse a loop, and what is too deep or too much."""
-    if node.id() in counts:
-        return counts[node.id()]
-    if node.id() in path:
-        raise BuildingError(name, label(node), "geometry that contains itself", "geometry without a loop")
-    if len(path) >= DEEPEST:
-        raise BuildingError(name, label(node), f"geometry nested {DEEPEST} deep", "less")
-    with ReadingEntity(name, node):
-        parts = _parts(node)
-    count = 1
-    for part in parts:
-        count += _count(name, part, counts, (*path, node.id()))
-        if count > MOST_ITEMS:
-            raise BuildingError(name, label(node), f"more than {MOST_ITEMS} items by mapping", "less")
-    counts[node.id()] = count
-    return count
-
-
-def _parts(node: _Entity) -> tuple[_Entity, ...]:
-    if node.is_a("IfcShapeModel"):
-        return tuple(node.Items)
-    if node.is_a("IfcMappedItem"):
-        return (node.MappingSource.MappedRepresentation,)
-    if node.is_a("IfcBooleanResult"):
-        return (node.FirstOperand, node.SecondOperand)
-    if node.is_a("IfcCsgSolid"):
-        return (node.TreeRootExpression,)
-    return ()
-
-
-def _mapping(product: _Entity, representation: _Entity) -> tuple[object, ...]:
-    """Return what is mapped how, by which copies are known where the kernel is not needed for their place; empty: they are not."""
-    placement, found = product.ObjectPlacement, []
-    while placement is not None:
-        if not placement.is_a("IfcLocalPlacement"):
-            return ()
-        placement = placement.PlacementRelTo
-    for item in representation.Items:
-        if not item.is_a("IfcMappedItem"):
-            return ()
-        target = item.MappingTarget
-        if target is None or target.LocalOrigin is None:
-            return ()
-        axes = (getattr(getattr(target, name, None), "DirectionRatios", None) for name in ("Axis1", "Axis2", "Axis3"))
-        scales = (getattr(target, name, None) for name in ("Scale", "Scale2", "Scale3"))
-        found += [item.MappingSource.id(), target.LocalOrigin.Coordinates, *axes, *scales]
-    return tuple(found)
 
 
 def _resolved(representation: _Entity) -> Iterator[_Entity]:
@@ -370,10 +281,7 @@ def bounds(node: _Entity) -> np.ndarray:
 
 
 def _reach(value: object) -> float:
-    """Return how far from its origin an item, or a value in it, reaches at most, in the file's units.
-
-    All lengths and coordinates on the way to a point are added, of what is side by side the largest counts: far too much for most.
-    """
+    """Return how far from its origin an item reaches at most, in the file's units: the sum of all lengths on the way to a point."""
     if isinstance(value, tuple):
         return max(map(_reach, value), default=0.0)
     if isinstance(value, float):

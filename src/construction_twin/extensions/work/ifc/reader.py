@@ -19,24 +19,38 @@ import ifcopenshell.util.placement
 import numpy as np
 
 from construction_twin.core.files import read_file
-from construction_twin.extensions.work.building import Body, BuildingModel, Element, Task
-from construction_twin.extensions.work.errors import BuildingError
-from construction_twin.extensions.work.ifc.doubts import ABOUT_ALL, Doubts, parse_log
-from construction_twin.extensions.work.ifc.geometry import NO_UNIT_CODES, Shape, body_of, bounds, shapes
-from construction_twin.extensions.work.ifc.notes import MisreadError, Notes, ReadingEntity, label
-from construction_twin.extensions.work.ifc.properties import (
+from construction_twin.extensions.work.building import (
+    Body,
+    BuildingError,
+    BuildingModel,
+    Element,
+    Task,
+    in_one_piece,
+    is_workpiece,
+    wholes,
+)
+from construction_twin.extensions.work.ifc.entities import (
     read_mass,
     read_properties,
+    read_relations,
     read_status,
     read_units,
 )
-from construction_twin.extensions.work.ifc.relations import read_relations
+from construction_twin.extensions.work.ifc.geometry import NO_UNIT_CODES, Shape, body_of, bounds, shapes
+from construction_twin.extensions.work.ifc.notes import (
+    ABOUT_ALL,
+    Doubts,
+    MisreadError,
+    Notes,
+    ReadingEntity,
+    label,
+    parse_log,
+)
 from construction_twin.extensions.work.ifc.tasks import Groups, read_tasks, unique_id
-from construction_twin.extensions.work.wholes import in_one_piece, is_workpiece, wholes
 from construction_twin.kinematics.chain import Pose
 
 _Entity = ifcopenshell.entity_instance
-#: Schemas as the parser calls them: their last publication. Earlier ones of the same name say nothing that it reads otherwise.
+#: Schemas as the parser calls them: their last publication.
 SCHEMAS = {"IFC2X3": b"IFC2X3", "IFC4": b"IFC4", "IFC4X3": b"IFC4X3_ADD2"}
 _SCHEMA = re.compile(rb"FILE_SCHEMA\s*\(\s*\(\s*'([^']*)'")
 #: Farther from the origin [m] no model is; map coordinates reach 1e7.
@@ -104,17 +118,13 @@ _NOT_THERE = (
 )
 _STATUS = {
     "existing": "Existing elements: obstacles, never placed",
-    "demolish": (
-        "Elements that are to be taken down: obstacles until a person says that they are gone (`twin work removed`)"
-    ),
+    "demolish": "Elements to be taken down: obstacles until a person says that they are gone (`twin work removed`)",
 }
 #: What is an element only with a body.
 _WITH_BODY = ("IfcSpatialElement", "IfcSpatialStructureElement", "IfcProxy")
 
 
 class _Reader:
-    """The elements of a file."""
-
     def __init__(self, file: ifcopenshell.file, name: str, notes: Notes, doubts: Doubts):
         self.file, self.name, self.notes, self.doubts = file, name, notes, doubts
         self.units, self.relations = read_units(file, name, notes), read_relations(file, name)
@@ -122,7 +132,7 @@ class _Reader:
         self.ids: dict[int, str] = {}
 
     def record_ignored_coordinates(self) -> None:
-        """Note the ignored coordinate systems: of the map, and of the model's context."""
+        """Note ignored coordinate systems."""
         if self.file.schema != "IFC2X3" and self.file.by_type("IfcMapConversion"):
             self.notes.add("The map conversion is left out: poses are the model's own")
         for context in self.file.by_type("IfcGeometricRepresentationContext", include_subtypes=False):
@@ -135,7 +145,7 @@ class _Reader:
                 self.notes.add("The context's world coordinate system is left out: poses are those of the placements")
 
     def elements(self) -> dict[str, Element]:
-        """Read them, by their ids."""
+        """Return the elements by their ids."""
         products = self._products()
         placements = Placements(self.name, self.units.length)
         used_ids: set[str] = set()
@@ -188,7 +198,6 @@ class _Reader:
         return elements
 
     def _record_ignored_shapes(self, product: _Entity, body: _Entity, element_id: str) -> None:
-        """Note ignored bodies beside the first one, and openings without a body."""
         about = product.Name or element_id
         same = [
             each
@@ -202,18 +211,13 @@ class _Reader:
         if any(body_of(opening) is None for opening in self.relations.openings.get(product.id(), ())):
             self.notes.add("Openings without a body are not cut out", about)
 
-    def _record_kernel_log(self, product: _Entity) -> bool:
-        """Note the kernel's messages about a product, and doubt it; return whether there are any."""
-        log = tuple(parse_log(ifcopenshell.get_log()))
-        for entry in log:
+    def _record_kernel_log(self, product: _Entity) -> None:
+        for entry in parse_log(ifcopenshell.get_log()):
             if entry.code in NO_UNIT_CODES:
-                expected = (
-                    "a unit of length that the geometry kernel can read: of the SI, or converted to that in one step"
-                )
+                expected = "a unit of length of the SI, or converted to that in one step"
                 raise BuildingError(self.name, "units of the project", entry.text, expected)
             self.doubts.add({product.id(), *entry.numbers}, entry.text)
             self.notes.add(f"The geometry kernel says: {entry.text}", self.ids.get(product.id(), product.GlobalId))
-        return bool(log)
 
     def _products(self) -> list[_Entity]:
         products = []
@@ -279,7 +283,7 @@ class _Reader:
         )
 
     def in_one_piece(self, elements: dict[str, Element], tasks: dict[str, Task]) -> dict[str, Element]:
-        """Return what comes in one piece, as `in_one_piece` does, and note it."""
+        """Return and note what comes in one piece."""
         with ReadingEntity(self.name, "the file"):
             assemblies = [each for each in self.file.by_type("IfcElementAssembly") if each.AssemblyPlace == "FACTORY"]
         changed = in_one_piece(elements, tasks, {self.ids[each.id()] for each in assemblies if each.id() in self.ids})
@@ -336,7 +340,7 @@ def read_ifc(path: str | Path, most_bytes: int) -> BuildingModel:
 
 
 def _built_from_inputs(elements: dict[str, Element]) -> set[str]:
-    """Return what a task builds that has it as an input: workpieces, and assemblies without a body of which they are parts."""
+    """Return what a task builds that has it as an input: workpieces, and assemblies without a body that they are parts of."""
     parents = {element.assembly for element in elements.values()}
     found = {element.id for element in elements.values() if is_workpiece(element, element.id in parents)}
     for name in list(found):
@@ -368,7 +372,7 @@ def _open(contents: bytes, name: str) -> ifcopenshell.file:
 
 
 def _hand_down_status(elements: dict[str, Element], notes: Notes) -> None:
-    """Give parts the status of the nearest whole that has one; note what is not to be made. What is new has none in the end."""
+    """Give parts the status of the nearest whole that has one, ``new`` none; note what is not to be made."""
     said = {name: element.status for name, element in elements.items()}
     for name, element in elements.items():
         status = next((said[one] for one in (name, *wholes(elements, name)) if said[one]), "").replace("new", "")
@@ -404,10 +408,7 @@ def _of_last_publication(contents: bytes, name: str) -> bytes:
 
 
 def _in_ascii(contents: bytes, notes: Notes) -> bytes:
-    """Return contents with letters that are not ASCII written as IFC wants them.
-
-    They are taken as UTF-8 if all of them are, else as Latin-1 (Windows-1252).
-    """
+    """Return contents with letters that are not ASCII (UTF-8, else Windows-1252) written as IFC wants them."""
     # what may stand before its beginning is no part of it
     contents = contents[max(contents.find(b"ISO-10303-21;"), 0) :]
     if contents.isascii():

@@ -30,11 +30,10 @@ from pydantic import ConfigDict, TypeAdapter
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.files import read_file
-from construction_twin.extensions.work.building import BuildingModel
-from construction_twin.extensions.work.errors import BuildingError
+from construction_twin.extensions.work.building import BuildingError, BuildingModel
 
-#: Of the form of its file and of what the reader understands: another number, and what is in a cache is read anew.
-VERSION = 11
+#: Of the form of a cached file and of what the reader understands.
+VERSION = 12
 #: Largest file [bytes].
 MOST_BYTES = 1 << 30
 #: Longest text about what is wrong with one [characters].
@@ -65,12 +64,7 @@ class Bounds:
 
 
 def read_building(path: str | Path, cache: str | Path | None = None, bounds: Bounds = Bounds()) -> BuildingModel:
-    """Read an IFC file; `cache`: folder in which what was read is kept by the file's SHA-256, None: none.
-
-    Raises:
-        BuildingError: What is wrong with the file, or which bound its reading went over.
-        ConfigurationError: If ifcopenshell is not installed, or the cache cannot be written.
-    """
+    """Read an IFC file; raise BuildingError if it cannot be read within its bounds. `cache`: folder, by the file's SHA-256."""
     path = Path(path)
     try:
         contents = read_file(path, bounds.file_bytes)
@@ -106,7 +100,6 @@ def read_building(path: str | Path, cache: str | Path | None = None, bounds: Bou
 
 
 def _run(path: Path, digest: str, output: Path, bounds: Bounds) -> None:
-    """Let another process read, and return when it has written the model."""
     arguments = (path.absolute(), digest, output.absolute(), bounds.file_bytes, bounds.memory_bytes, int(bounds.cpu))
     paths = [_SOURCES, *filter(None, [os.environ.get("PYTHONPATH")])]
     code: int | None = None
@@ -146,9 +139,6 @@ def _how_it_ended(code: int | None, bounds: Bounds) -> str:
     return f"an end with code {code} and no result"
 
 
-# -- the bytes of a file
-
-
 def check_form(contents: bytes, name: str) -> None:
     """Check that contents are a STEP file from its beginning to its end."""
     begun = contents.removeprefix(_MARK).lstrip()
@@ -160,9 +150,6 @@ def check_form(contents: bytes, name: str) -> None:
     if not contents.rstrip(_SPACE).endswith(_END):
         found = f"no {_END.decode()} at its end: it is not whole"
         raise BuildingError(name, "the file", found, "a whole IFC file")
-
-
-# -- a model as a file
 
 
 def save(model: BuildingModel, path: Path) -> None:
@@ -185,12 +172,7 @@ def save(model: BuildingModel, path: Path) -> None:
 
 
 def load(path: Path, file: str, digest: str) -> BuildingModel:
-    """Read a model.
-
-    Raises:
-        BuildingError: If it is not what `save` writes.
-        OSError: If it cannot be read.
-    """
+    """Read a model; raise BuildingError if it is not what `save` writes."""
 
     def undescribed(item: dict[str, Any]) -> Any:
         if item.keys() != {digest}:
@@ -223,11 +205,8 @@ def load(path: Path, file: str, digest: str) -> BuildingModel:
     return model
 
 
-# -- the process that reads
-
-
 def main(arguments: list[str]) -> int:
-    """Read a file and write its model; `arguments`: see above. Return the exit code."""
+    """Read a file and write its model; return the exit code."""
     path, digest, output = arguments[:3]
     most_bytes, memory, cpu = map(int, arguments[3:])
     resource.setrlimit(resource.RLIMIT_AS, (memory, memory))

@@ -17,11 +17,9 @@ import ifcopenshell.util.element
 import isodate
 import numpy as np
 
-from construction_twin.extensions.work.building import Element, Sequence, Task
-from construction_twin.extensions.work.errors import BuildingError
+from construction_twin.extensions.work.building import BuildingError, Element, Sequence, Task
+from construction_twin.extensions.work.ifc.entities import Relations, Units, read_properties, refuse_loops
 from construction_twin.extensions.work.ifc.notes import Notes, ReadingEntity, label
-from construction_twin.extensions.work.ifc.properties import Units, read_properties
-from construction_twin.extensions.work.ifc.relations import Relations, refuse_loops
 from construction_twin.extensions.work.process import PROPERTY_SET, RECIPE
 from construction_twin.kinematics.chain import Pose
 
@@ -29,8 +27,6 @@ _Entity = ifcopenshell.entity_instance
 _NO_TIME = "The project has no unit of time: a lag or duration that is a number is taken as seconds"
 #: Adds a note on one task or order.
 _Note = Callable[[str], None]
-#: Dates of a task, the first that is said counts.
-_DATES = ("Schedule", "Early", "Late")
 _KINDS = ("FINISH_START", "START_START", "FINISH_FINISH", "START_FINISH")
 #: Resources that do work; materials and products are no robots.
 _WORKERS = ("IfcConstructionEquipmentResource", "IfcCrewResource", "IfcLaborResource", "IfcSubContractResource")
@@ -40,10 +36,11 @@ _OTHER_SCHEDULES = ("ACTUAL", "BASELINE")
 _MAKES = ("CONSTRUCTION", "INSTALLATION")
 #: Kinds of tasks after which what is assigned to them is no longer there.
 _TAKES_DOWN = ("DEMOLITION", "DISMANTLE", "DISPOSAL", "REMOVAL")
-#: Kinds that place nothing, by which an author calls his own (of IFC2x3, which has no kinds): the schema's words.
-_OTHER_KINDS = ("ATTENDANCE", "INSPECTION", "LOGISTIC", "MAINTENANCE", "MOVE", "OPERATION", "RENOVATION", "TESTING")
-#: Kinds with which nothing is said, or only by the author's own word.
-_OPEN = (None, "NOTDEFINED", "USERDEFINED")
+#: All other kinds of the schema; in IFC2x3, which has none, an author's own word is one.
+_OTHER_KINDS = (
+    *("ADJUSTMENT", "ATTENDANCE", "CALIBRATION", "EMERGENCY", "INSPECTION", "LOGISTIC", "MAINTENANCE", "MOVE"),
+    *("OPERATION", "RENOVATION", "SAFETY", "SHUTDOWN", "STARTUP", "TESTING", "TROUBLESHOOTING"),
+)
 #: Words of the status of a task: done, not to be done any more, and not begun.
 _DONE_WORDS = ("COMPLETED", "COMPLETE", "DONE", "FINISHED", "CLOSED")
 _CANCELLED_WORDS = ("CANCELLED", "CANCELED")
@@ -53,10 +50,7 @@ _ROUNDING = 1e-6
 
 
 class Groups:
-    """What tasks are assigned to: elements, and groups and parts of the site, which become records of their own.
-
-    `elements`: Records of the groups and parts of the site that tasks are assigned to, by their ids.
-    """
+    """What tasks are assigned to: elements, and groups and parts of the site, which become records of their own (`elements`)."""
 
     def __init__(self, relations: Relations, ids: dict[int, str], notes: Notes):
         self.relations, self._ids, self._notes = relations, dict(ids), notes
@@ -128,12 +122,7 @@ def unique_id(entity: _Entity, used_ids: Collection[str], notes: Notes) -> str:
 
 
 class _Reading:
-    """The tasks of a file.
-
-    Attributes:
-        ids: Of tasks, by their numbers.
-        beyond: Some `Completion` is above 1: nobody knows what the others are parts of.
-    """
+    """The tasks of a file; `beyond`: some `Completion` is above 1, perhaps percent."""
 
     def __init__(
         self,
@@ -151,7 +140,7 @@ class _Reading:
         self.beyond = False
 
     def scheduled(self, entities: list[_Entity]) -> list[_Entity]:
-        """Return tasks of what is to be done: a baseline, or a record of what was done, beside it would make everything twice."""
+        """Return the tasks to do, without those of a baseline or a record of what was done."""
         by_schedule: dict[int, list[_Entity]] = defaultdict(list)
         # name and kind of each schedule by its id, 0 for tasks that are in none
         schedules = {0: ("(tasks without a schedule)", "")}
@@ -167,8 +156,7 @@ class _Reading:
         schedules_read = [key for key in by_schedule if schedules[key][1] not in _OTHER_SCHEDULES] or list(by_schedule)
         for key in by_schedule.keys() - set(schedules_read):
             name, kind = schedules[key]
-            sentence = f"Schedules of the kind {kind}, left out with their tasks and orders because there is another"
-            self._notes.add(sentence, name)
+            self._notes.add(f"Schedules of the kind {kind}, left out with their tasks because there is another", name)
         if len(schedules_read) > 1:
             names = ", ".join(schedules[key][0] for key in schedules_read)
             self._notes.add(f"{len(schedules_read)} schedules, whose tasks are all read: {names}")
@@ -176,7 +164,7 @@ class _Reading:
 
     def task(self, entity: _Entity) -> Task:
         """Return one."""
-        task_id, groups, time = self.ids[entity.id()], self._groups, _time_of(entity)
+        task_id, time = self.ids[entity.id()], _time_of(entity)
         note = partial(self._notes.add, about=entity.Name or task_id)
         operates = [each for relation in entity.OperatesOn for each in relation.RelatedObjects]
         products = self._elements(
@@ -193,15 +181,14 @@ class _Reading:
         if cancelled:
             note("Tasks that the file says are cancelled: not done, nothing waits for them but what comes before")
         if kind == "makes" and not products:
-            products = [
-                each for each in inputs if by_recipe or each in self._built_from_inputs or each in groups.elements
-            ]
+            built, groups = self._built_from_inputs, self._groups.elements
+            products = [each for each in inputs if by_recipe or each in built or each in groups]
             inputs = [each for each in inputs if each not in products]
             if products and not by_recipe:
-                said = "Tasks whose workpieces are assigned as inputs only (IfcRelAssignsToProcess)"
-                note(f"{said}; taken as what they make")
+                note("Tasks whose workpieces are inputs only (IfcRelAssignsToProcess); taken as what they make")
         parent = self._parents.get(entity.id())
-        start, duration = self._times(time, note)
+        starts = (getattr(time, f"{word}Start", None) for word in ("Schedule", "Early", "Late"))
+        duration = getattr(time, "ScheduleDuration", None)
         return Task(
             id=task_id,
             name=entity.Name or "",
@@ -210,15 +197,14 @@ class _Reading:
             inputs=tuple(inputs),
             robots=tuple(dict.fromkeys(robots)),
             milestone=bool(entity.IsMilestone),
-            start=start,
-            duration=duration,
+            start=next(filter(None, (_moment(start, note) for start in starts)), ""),
+            duration=None if duration is None else self._seconds(duration, note),
             kind=kind,
             completed=not cancelled and self._completed(entity, note),
             properties=properties,
         )
 
     def _above(self, entity: _Entity) -> Iterator[_Entity]:
-        """Yield a task and those that it nests in, from inside."""
         at: _Entity | None = entity
         while at is not None and at.is_a("IfcTask"):
             yield at
@@ -234,58 +220,41 @@ class _Reading:
         return list(found)
 
     def _kind(self, entity: _Entity, by_recipe: bool, note: _Note) -> str:
-        """Return ``makes``, ``takes_down`` or ``other``: of the task, else of its type, else of what it nests in.
+        """Return ``makes``, ``takes_down`` or ``other``: of the task or its type, else of what it nests in.
 
-        A task that names its recipe (`by_recipe`) is the arm's, whatever else its kind says than that it takes down.
+        A task that names its recipe (`by_recipe`) is the arm's, unless it takes down.
         """
-        declared = next(filter(None, map(_declared_kind, self._above(entity))), "")
-        shown = (
-            declared if declared and declared == _declared_kind(entity) else f"{declared} (said of what they nest in)"
-        )
-        if declared in _TAKES_DOWN:
-            note(f"Tasks of the kind {shown}: the arm takes nothing down, a person says when it is gone")
+        known = (*_MAKES, *_TAKES_DOWN, *_OTHER_KINDS)
+        kind = next((word for word in map(_kind_word, self._above(entity)) if word in known), "")
+        if kind in _TAKES_DOWN:
+            note(f"Tasks of the kind {kind}: the arm takes nothing down, a person says when it is gone")
             return "takes_down"
         if by_recipe:
             return "makes"
-        if declared and declared not in _MAKES:
-            note(f"Tasks of the kind {shown}, which places nothing; kept for the order")
+        if kind in _OTHER_KINDS:
+            note(f"Tasks of the kind {kind}, which places nothing; kept for the order")
             return "other"
-        own = _own_word(entity)
-        if own and own.upper() not in _MAKES:
+        if (own := _kind_word(entity)) and own not in known:
             note(f"Tasks of a kind of their own ({own!r}), taken as placing")
         return "makes"
 
     def _is_marked_completed(self, entity: _Entity) -> bool:
-        """Return whether status or times of a task mark it as done."""
         time = _time_of(entity)
         whole = not self.beyond and math.isclose(_completion(time), 1.0, abs_tol=_ROUNDING)
         return _status_word(entity) in _DONE_WORDS or whole or getattr(time, "ActualFinish", None) is not None
 
     def _completed(self, entity: _Entity, note: _Note) -> bool:
-        """Return whether the file says that a task, or what it nests in, is done; one that is under way is noted."""
+        """Return whether the file says that a task, or what it nests in, is done; note one that may have begun."""
         time, status = _time_of(entity), _status_word(entity)
-        done = next(filter(self._is_marked_completed, self._above(entity)), None)
-        if done is not None and done.id() == entity.id():
-            note("Tasks that the file says are completed: not done again, what they made stands")
-        elif done is not None:
-            because = f"what they nest in ({done.Name or done.GlobalId}) is"
-            note(f"Tasks taken as completed because {because}: what they make counts as standing")
-        elif status not in _NOT_BEGUN_WORDS or getattr(time, "ActualStart", None) is not None or _completion(time) > 0:
+        if any(map(self._is_marked_completed, self._above(entity))):
+            note("Tasks that the file says are completed, or what they nest in is: what they made stands")
+            return True
+        if status not in _NOT_BEGUN_WORDS or getattr(time, "ActualStart", None) is not None or _completion(time) > 0:
             said = f"status {entity.Status!r}" if status else "a start or a part that is done"
             note(f"TASKS THAT MAY HAVE BEGUN ({said}), taken as still to be done; if what they make stands, skip them")
-        return done is not None
-
-    def _times(self, time: _Entity | None, note: _Note) -> tuple[str, float | None]:
-        if time is None:
-            return "", None
-        start = next(filter(None, (_moment(getattr(time, f"{said}Start"), note) for said in _DATES)), "")
-        if start and time.ScheduleStart is None:
-            note("No scheduled start: the early one is taken, or else the late one")
-        given = time.ScheduleDuration
-        return start, None if given is None else self._seconds(given, note)
+        return False
 
     def _seconds(self, value: str | float, note: _Note) -> float | None:
-        """Return a duration [s]; one that cannot be read is noted."""
         if not isinstance(value, str):
             if value and self._time_unit is None:
                 note(_NO_TIME)
@@ -293,14 +262,11 @@ class _Reading:
         try:
             parsed = isodate.parse_duration(value)
         except (ValueError, TypeError, OverflowError, ArithmeticError):
-            note(f"{value[:40]!r} is no duration of ISO 8601, and is left out")
-            return None
+            parsed = None
         if isinstance(parsed, timedelta):
             return parsed.total_seconds()
-        note(f"A duration in years or months ({value[:40]!r}) has no length in seconds, and is left out")
+        note(f"A duration without a length in seconds ({value[:40]!r}) is left out")
         return None
-
-    # -- orders
 
     def sequence(self, relation: _Entity) -> Sequence | None:
         """Return one; None: it is of no tasks that are read, or within one."""
@@ -322,7 +288,7 @@ class _Reading:
     def _end(self, process: _Entity) -> str:
         """Return the id of the task that an order names; empty: it is left out with its schedule.
 
-        An event or a procedure passes the order on, as a milestone does; in a task that nests no others it stands for that.
+        An event or a procedure passes the order on, or stands for the task that it is in.
         """
         if process.is_a("IfcTask") or process.id() in self.ids:
             return self.ids.get(process.id(), "")
@@ -363,13 +329,11 @@ def _assignments(task: _Entity, kind: str) -> list[_Entity]:
 
 
 def _time_of(task: _Entity) -> _Entity | None:
-    """Return the times of a task; those of IFC2x3 are of the relation IfcRelAssignsTasks."""
     times = (getattr(each, "TimeForTask", None) for each in _assignments(task, "IfcRelAssignsToControl"))
     return next(filter(None, times), None) or getattr(task, "TaskTime", None)
 
 
 def _completion(time: _Entity | None) -> float:
-    """Return what part of a task the file says is done; 0 where it says nothing."""
     part = getattr(time, "Completion", None)
     return float(part) if isinstance(part, (int, float)) else 0.0
 
@@ -379,26 +343,12 @@ def _status_word(entity: _Entity) -> str:
     return "".join(each for each in (entity.Status or "").upper() if each.isalnum() or each in "?%")
 
 
-def _declared_kind(entity: _Entity) -> str:
-    """Return the kind that a task or its type says, by the schema or in a word of it; empty: it says none."""
-    predefined = _predefined_kind(entity)
-    own = _own_word(entity).upper()
-    return str(predefined) if predefined not in _OPEN else own if own in (*_MAKES, *_TAKES_DOWN, *_OTHER_KINDS) else ""
-
-
-def _predefined_kind(entity: _Entity) -> str | None:
-    predefined = getattr(entity, "PredefinedType", None)
-    if predefined not in (None, "NOTDEFINED"):
-        return str(predefined)
-    return getattr(ifcopenshell.util.element.get_type(entity), "PredefinedType", None) or predefined
-
-
-def _own_word(entity: _Entity) -> str:
-    """Return the author's own word for the kind of a task, the only one in IFC2x3; empty: none, or the schema's counts."""
-    if _predefined_kind(entity) not in _OPEN:
-        return ""
+def _kind_word(entity: _Entity) -> str:
+    """Return the kind of a task or its type, by the schema, else in a word of its author; empty: it says none."""
     kind = ifcopenshell.util.element.get_type(entity)
-    return str(entity.ObjectType or getattr(kind, "ProcessType", None) or "").strip()
+    words = (*(getattr(each, "PredefinedType", None) for each in (entity, kind)), entity.ObjectType)
+    upper = ((word or "").strip().upper() for word in (*words, getattr(kind, "ProcessType", None)))
+    return next((word for word in upper if word not in ("", "NOTDEFINED", "USERDEFINED")), "")
 
 
 def _moment(value: str | _Entity | None, note: _Note) -> str:
@@ -406,8 +356,8 @@ def _moment(value: str | _Entity | None, note: _Note) -> str:
         return ""
     try:
         with ReadingEntity("", "a time"):
-            read = ifcopenshell.util.date.ifc2datetime(value) if isinstance(value, str) else _date_and_time(value)
-            text = str(read.isoformat())  # type: ignore[union-attr]
+            moment = ifcopenshell.util.date.ifc2datetime(value) if isinstance(value, str) else _date_and_time(value)
+            text = str(moment.isoformat())  # type: ignore[union-attr]
         datetime.fromisoformat(text).timestamp()  # orders compare it: no time of day, no year 0
         return text
     except (BuildingError, ValueError, OverflowError):
@@ -417,8 +367,6 @@ def _moment(value: str | _Entity | None, note: _Note) -> str:
 
 def _date_and_time(value: _Entity) -> datetime:
     """Return a moment of IFC2x3, which need not have minutes and seconds."""
-    date, clock = value, (0, 0, 0)
-    if value.is_a("IfcDateAndTime"):
-        date, time = value.DateComponent, value.TimeComponent
-        clock = (time.HourComponent, time.MinuteComponent or 0, int(time.SecondComponent or 0))
+    date, time = (value.DateComponent, value.TimeComponent) if value.is_a("IfcDateAndTime") else (value, None)
+    clock = (0,) if time is None else (time.HourComponent, time.MinuteComponent or 0, int(time.SecondComponent or 0))
     return datetime(date.YearComponent, date.MonthComponent, date.DayComponent, *clock)

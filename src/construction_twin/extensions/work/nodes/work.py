@@ -58,17 +58,14 @@ from construction_twin.scene.scene_change import SceneChange
 
 #: The executor's record of verdicts.
 RECORD = "executor/review_file"
-#: Oldest pose of twin and arm that counts as the present one, and longest wait for one [s].
+#: Oldest present pose of twin and arm, and longest wait for one [s].
 MAX_POSE_AGE = 0.5
 
 
 class Settings(PrivateSettings):
     """Private parameters, explained in config/work.yaml and launch/bringup.launch.
 
-    Attributes:
-        tool, scene: Of the robot; those that the cell file names.
-        private: Folder that a console serves to whom is logged in, relative to ROS_HOME; empty: no console.
-        service_timeout, listen_time, retry_time: [s]
+    `private`: folder that a console serves to whom is logged in, relative to ROS_HOME; empty: no console.
     """
 
     model: str
@@ -128,8 +125,6 @@ class WorkNode:
             # of the ledger: nothing is done without it, and the executor waits for the scene in vain
             self._fail(str(error))
 
-    # -- the start
-
     def open(self) -> None:
         """Load the model, and find out what became of the work before this start."""
         try:
@@ -172,7 +167,6 @@ class WorkNode:
         self.progress.recall(settings.listen_time)
 
     def _show_building(self, loaded: LoadedModel, files: Any) -> None:
-        """Write the model where a console serves it."""
         placed = {job.element: loaded.elements[job.element] for job in loaded.schedule.jobs}
         try:
             files.write_building(glb(placed, loaded.digest))
@@ -190,7 +184,7 @@ class WorkNode:
         return str(self._call("edit_scene", srv.EditScene, **fields).hash)
 
     def _call(self, name: str, kind: type, **fields: object) -> Any:
-        """Return the answer of a service; raise NoAnswer, or RequestRefused where it is a no."""
+        """Return the answer of a service; raise NoAnswer or RequestRefused."""
         service = rospy.resolve_name(name)
         try:
             rospy.wait_for_service(service, self._settings.service_timeout)
@@ -200,8 +194,6 @@ class WorkNode:
         if not answer.success:
             raise RequestRefused(Outcome.of(answer).message)
         return answer
-
-    # -- services
 
     def _usable_progress(self) -> WorkProgress:
         if self.progress is None:
@@ -237,10 +229,7 @@ class WorkNode:
             return
         self.received.on_message(content)
 
-    # -- reports
-
     def _fail(self, sentence: str) -> None:
-        """Stop the work with a sentence."""
         rospy.logerr("%s", sentence)
         self._fault, self.progress, self._broken = sentence, None, True
         self._publish()
@@ -272,9 +261,6 @@ class WorkNode:
             values["notes on the model"] = len(board.notes)
             asks = bool(board.states.in_state(TaskState.ASKS))
             return Diagnosis(WARN if asks else OK, board.summary(time.time_ns()), values)
-
-
-# -- the node's interface
 
 
 def _subscription(topic: str, kind: type, read: Callable[[Any], Any], queue_size: int) -> Subscription:

@@ -1,7 +1,8 @@
-"""Where a tool with suction cups can hold an element, in the order of the recipe. Metres, kilograms, in the element's frame.
+"""The recipe of `place` (keys: config/work/recipes.yaml), and where its suction cups can hold an element, in the element's frame.
 
-A cup lies on a face when its rim and a margin do: its middle, 16 points of the rim and 8 half way have material just inside and
-none just outside. A hole between these points is not seen. Cups beside the face are taken to close by themselves.
+Metres, kilograms, seconds; degrees in ``_deg``. A cup lies on a face when its rim and a margin do: its middle, 16 points of the rim
+and 8 half way have material just inside and none just outside. A hole between these points is not seen. Cups beside the face close
+by themselves.
 """
 
 from __future__ import annotations
@@ -9,15 +10,103 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
+import pydantic
 import shapely
 from scipy.spatial import ConvexHull, QhullError
 
-from construction_twin.extensions.work.convex_bodies import ElementPieces
-from construction_twin.extensions.work.place.recipe import PlaceRecipe
+from construction_twin.core.errors import ConfigurationError
+from construction_twin.extensions.work.element_bodies import ElementPieces
+from construction_twin.extensions.work.process import Finite, Length, Recipe, Scale, Strict, TaskPlanningError, WorkJob
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import Cups, Tool
+
+_Small = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=0.0, le=10.0)]
+_Turn = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=-360.0, le=360.0)]
+_Axis = Literal["up", "+x", "-x", "+y", "-y", "+z", "-z"]
+_Face = Literal["up", "+x", "-x", "+y", "-y", "+z", "-z", "any"]
+
+
+def _not_zero(asked: str | tuple[float, float, float]) -> str | tuple[float, float, float]:
+    if not isinstance(asked, str) and not any(asked):
+        raise ValueError("a vector that is not zero")
+    return asked
+
+
+#: A direction: an axis of the element, up, or a vector in the robot's base_link.
+Direction = Annotated[_Axis | tuple[Finite, Finite, Finite], pydantic.AfterValidator(_not_zero)]
+
+
+class Grips(Strict):
+    """Where an element may be gripped; lengths in m."""
+
+    faces: Annotated[tuple[_Face, ...], pydantic.Field(min_length=1)] = ("up",)
+    along: Annotated[tuple[Finite, ...], pydantic.Field(min_length=1)] = (0.0,)
+    across: Annotated[tuple[Finite, ...], pydantic.Field(min_length=1)] = (0.0,)
+    yaws_deg: Annotated[tuple[_Turn, ...], pydantic.Field(min_length=1)] = (0.0,)
+    turns_deg: Annotated[tuple[_Turn, ...], pydantic.Field(min_length=1)] = (0.0,)
+    min_cups: Annotated[int, pydantic.Field(ge=1, le=100)] = 1
+    margin: _Small = 0.002
+    lever: _Small = 0.05
+    touching: Annotated[tuple[str, ...], pydantic.Field(min_length=1)]
+    beside: tuple[str, ...] = ()
+
+
+class Stock(Strict):
+    """How the element is fetched; lengths in m."""
+
+    approach: Length = 0.1
+    leave: Annotated[tuple[Direction, ...], pydantic.Field(min_length=1)] = ("up",)
+    lengths: Annotated[tuple[Length, ...], pydantic.Field(min_length=1)] = (0.1,)
+
+
+class Place(Strict):
+    """How the element is set down; lengths in m."""
+
+    arrive: Annotated[tuple[Direction, ...], pydantic.Field(min_length=1)] = ("up",)
+    lengths: Annotated[tuple[Length, ...], pydantic.Field(min_length=1)] = (0.1,)
+    retreat: Length = 0.1
+    fastened: bool = False
+
+
+class PlaceRecipe(Recipe):
+    """How elements of one kind are placed; `mass`: of elements without one in the model [kg], None: refused."""
+
+    grips: Grips
+    stock: Stock = Stock()
+    place: Place = Place()
+    carry_speed_scale: Scale
+    carry_engaged: bool = False
+    mass: Annotated[float, pydantic.Field(gt=0.0, le=1e4)] | None = None
+
+
+def mass_of(job: WorkJob, name: str, recipe: PlaceRecipe, tool: Tool) -> float:
+    """Return the mass that an element is placed with [kg]."""
+    mass = recipe.mass if job.element.mass is None else job.element.mass
+    if mass is None:
+        said = f"give it a weight or a density in the model, or recipe {name!r} a mass"
+        raise TaskPlanningError(job.task, f"the mass of {job.label} is not known: {said}")
+    if not mass > 0.0:
+        raise TaskPlanningError(job.task, f"{job.label} has a mass of {mass:g} kg; expected above 0")
+    if mass > tool.payload:
+        most = f"tool {tool.name!r} carries at most {tool.payload:g} kg"
+        raise TaskPlanningError(job.task, f"{job.label} has {mass:.1f} kg; {most}")
+    if tool.mass + mass > tool.load:
+        both = f"{job.label} and tool {tool.name!r} together have {tool.mass + mass:.1f} kg"
+        raise TaskPlanningError(job.task, f"{both}; the controller's load data are for {tool.load:g} kg")
+    return mass
+
+
+def check_tool(recipe: PlaceRecipe, tool: Tool, where: str) -> None:
+    """Check that a recipe names shapes that the tool has."""
+    for key, shapes in (("touching", recipe.grips.touching), ("beside", recipe.grips.beside)):
+        for shape in shapes:
+            if shape not in tool.shapes:
+                known = ", ".join(tool.shapes)
+                raise ConfigurationError(f"{where}/grips/{key}", shape, f"one of the tool's shapes: {known}")
+
 
 #: How far inside and outside of a face is looked for material [m].
 _SKIN = 5e-4
@@ -33,7 +122,6 @@ class Grip:
     """One way to hold an element.
 
     Attributes:
-        name: ``+z along 0 mm, turned 90 deg, element turned 180 deg, 6 cups``.
         element_T_tcp: In its stock; z into the face.
         element_T_turned: The frame that takes the place of its own, of an element that is the same body when it is turned.
     """
@@ -53,10 +141,7 @@ class GripSearch:
 
 
 def find_grips(pieces: ElementPieces, up: np.ndarray, mass: float, recipe: PlaceRecipe, tool: Tool) -> GripSearch:
-    """Return the grips of an element: by faces, then its turns, then the tool's, then places.
-
-    `up`: Shape (3,). In the stock.
-    """
+    """Return the grips of an element by faces, its turns, the tool's turns, then places; `up`: in the stock."""
     wanted = recipe.grips
     if tool.cups is None:
         return GripSearch((), f"tool {tool.name!r} has no cups")
@@ -90,7 +175,6 @@ def find_grips(pieces: ElementPieces, up: np.ndarray, mass: float, recipe: Place
 
 
 def _turned(frame: Pose, angle_deg: float) -> Pose:
-    """Return the turn of the element about the normal of a face."""
     about = frame.rotation @ _about_z(math.radians(angle_deg)) @ frame.rotation.T
     return Pose(frame.position - about @ frame.position, about)
 
@@ -101,7 +185,6 @@ def _tool_at(frame: Pose, yaw_deg: float, along: float, across: float) -> Pose:
 
 
 def _cups_on_face(element_T_tcp: Pose, pieces: ElementPieces, cups: Cups, margin: float) -> np.ndarray:
-    """Return the middles of the cups that lie on the face, shape (k, 3)."""
     rotation = element_T_tcp.rotation
     middles = np.array([element_T_tcp.position + rotation @ (x, y, 0.0) for x, y in cups.at])
     points = (middles[:, None] + _disc(cups.radius + margin) @ rotation.T).reshape(-1, 3)
@@ -111,7 +194,7 @@ def _cups_on_face(element_T_tcp: Pose, pieces: ElementPieces, cups: Cups, margin
 
 
 def _faces(pieces: ElementPieces, up: np.ndarray, wanted: tuple[str, ...]) -> list[tuple[str, Pose]]:
-    """Return names of the wanted faces, and frames: below the centre of gravity, x along the longer side, z outwards."""
+    """Return names and frames of the wanted faces: below the centre of gravity, x along the longer side, z outwards."""
     found: dict[int, tuple[str, Pose]] = {}
     for word in wanted:
         for number, plane in enumerate(pieces.planes):
@@ -173,7 +256,6 @@ def _long_side(flat: np.ndarray) -> float:
 def _obstacle(
     where: str, tcp: Pose, cups: np.ndarray, needed: int, lever: float, pieces: ElementPieces
 ) -> tuple[int, str] | None:
-    """Return why a place does not hold the element, with how far it came."""
     if len(cups) < needed:
         return len(cups), f"{where}: {len(cups)} cups lie on the face; {needed} are needed"
     flat, centre = ((points - tcp.position) @ tcp.rotation[:, :2] for points in (cups, pieces.centre))

@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple, TypeVar
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from construction_twin.core.sentences import Sentence
 from construction_twin.extensions.work.contacts import FALL, straight_poses
-from construction_twin.extensions.work.convex_bodies import ElementPieces
-from construction_twin.extensions.work.errors import TaskPlanningError
+from construction_twin.extensions.work.element_bodies import ElementPieces
 from construction_twin.extensions.work.motions import PAIRS, AttemptFailed, PlanBuilder, Search
-from construction_twin.extensions.work.place.grips import AXES, Grip, find_grips
-from construction_twin.extensions.work.place.recipe import Direction, PlaceRecipe, check_tool, mass_of
-from construction_twin.extensions.work.process import REACH, Process, TaskMotions
+from construction_twin.extensions.work.place.grips import (
+    AXES,
+    Direction,
+    Grip,
+    PlaceRecipe,
+    check_tool,
+    find_grips,
+    mass_of,
+)
+from construction_twin.extensions.work.process import REACH, Process, TaskMotions, TaskPlanningError
 from construction_twin.extensions.work.work_cell import inverse, pose_of
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.motion_errors import SceneError
@@ -36,11 +43,7 @@ _NEAR_LIMIT = 0.01
 
 
 def plan(search: Search) -> TaskMotions:
-    """Return the plan of a task; with the element held, of the rest.
-
-    Raises:
-        AttemptFailed: The attempt that came furthest.
-    """
+    """Return the plan of a task, with the element held of the rest; raise the failure that came furthest."""
     mass = mass_of(search.job, search.name, search.recipe, search.tool.tool)
     return _whole_plan(search, mass) if search.held is None else _rest_of_plan(search, search.held)
 
@@ -56,17 +59,18 @@ def _whole_plan(search: Search, mass: float) -> TaskMotions:
         raise TaskPlanningError(job.task, str(error), GRIP) from error
     if not grips.grips:
         raise TaskPlanningError(job.task, f"recipe {search.name!r} finds no grip: {grips.reason}", GRIP)
-    falls, tried = _fall_reason(search), 0
+    _require_support(search)
+    tried = 0
 
     def with_grip(grip: Grip) -> TaskMotions:
         nonlocal tried
         tried += 1
-        return _with_grip(search, grip, falls)
+        return _with_grip(search, grip)
 
     try:
-        return _first_success(search, grips.grips, with_grip, lambda failed: failed.hopeless)
+        return _first_success(search, grips.grips, with_grip)
     except AttemptFailed as failed:
-        if tried < len(grips.grips) and search.is_out_of_time and not failed.hopeless:
+        if tried < len(grips.grips) and search.is_out_of_time:
             failed.reason = Sentence(
                 "{reason} ({tried} of {count} grips tried in {seconds:g} s)",
                 reason=failed.reason,
@@ -79,8 +83,7 @@ def _whole_plan(search: Search, mass: float) -> TaskMotions:
 
 def _rest_of_plan(search: Search, tool0_T_element: Pose) -> TaskMotions:
     job, recipe = search.job, search.recipe
-    if falls := _fall_reason(search):
-        raise AttemptFailed(SET_DOWN, falls)
+    _require_support(search)
     element_T_tcp = product(inverse(tool0_T_element), pose_of(search.tool.tool.tool0_T_tcp))
     grip = Grip("the grip it is held with", element_T_tcp, Pose(np.zeros(3), np.eye(3)), 0)
 
@@ -102,7 +105,7 @@ def _first_success(
     ends: Callable[[AttemptFailed], bool] = lambda failed: False,
     method: str = "",
 ) -> TaskMotions:
-    """Return the first plan that an attempt makes while there is time; raise the failure that came furthest."""
+    """Return the first plan that can be made in time; raise the failure that came furthest."""
     furthest: AttemptFailed | None = None
     for option in options:
         if furthest is not None and search.is_out_of_time:
@@ -118,31 +121,29 @@ def _first_success(
     raise furthest
 
 
-def _fall_reason(search: Search) -> str:
-    """Return why the element would fall at its place; empty: something is under it."""
+def _require_support(search: Search) -> None:
+    """Refuse an element that would fall at its place."""
     job, recipe = search.job, search.recipe
     own = {item.name for item in job.bodies}
     others = [item for item in search.scene.objects if not item.link and item.name not in own]
     if recipe.place.fastened or search.shapes.support_below(job.bodies, job.base_T_goal, others, np.array(job.up)):
-        return ""
-    return Sentence(
+        return
+    falls = Sentence(
         "nothing holds {element} when the tool lets go: nothing is under it within {gap:.0f} mm. If something else holds it "
         "then, say so: `fastened: true` in the recipe's `place`",
         element=job.element.name or job.element.id,
         gap=1e3 * FALL,
     )
+    raise AttemptFailed(SET_DOWN, falls)
 
 
-def _with_grip(search: Search, grip: Grip, falls: str) -> TaskMotions:
-    """Return the plan with one grip."""
+def _with_grip(search: Search, grip: Grip) -> TaskMotions:
     recipe, job = search.recipe, search.job
     assert job.base_T_stock is not None
 
     def by(leave_arrive: tuple[np.ndarray, np.ndarray]) -> TaskMotions:
         at = flange_poses(search, grip, *leave_arrive)
         _check_reach(at, search)
-        if falls:
-            raise AttemptFailed(SET_DOWN, falls, True)
         there = scenes(search, at)
         _check_bodies(search, at, there)
         return _Attempt(search, grip, at, there).plan()
@@ -158,11 +159,6 @@ def _with_grip(search: Search, grip: Grip, falls: str) -> TaskMotions:
 
 
 def _check_reach(at: FlangePoses, search: Search) -> None:
-    def size() -> float:
-        """Return how far the element reaches from its middle [m]."""
-        points = ElementPieces(search.job.bodies).points
-        return float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
-
     for where, pose in (
         ("gripping", at.stock),
         ("letting go", at.goal),
@@ -171,7 +167,7 @@ def _check_reach(at: FlangePoses, search: Search) -> None:
         ("above its place", at.above),
         ("after letting go", at.after),
     ):
-        search.require_reach(pose, where, size)
+        search.require_reach(pose, where)
 
 
 def _check_bodies(search: Search, at: FlangePoses, there: Scenes) -> None:
@@ -191,7 +187,6 @@ def _check_bodies(search: Search, at: FlangePoses, there: Scenes) -> None:
 def _straight_ways(
     directions: tuple[Direction, ...], lengths: tuple[float, ...], base_T_element: Pose
 ) -> list[np.ndarray]:
-    """Return straight ways in the base_link, shape (3,) each, the best first."""
     units = {"up": np.array([0.0, 0.0, 1.0])} | {name: base_T_element.rotation @ axis for name, axis in AXES.items()}
     ways_of = [
         units[asked] if isinstance(asked, str) else np.array(asked) / np.linalg.norm(asked) for asked in directions
@@ -200,20 +195,19 @@ def _straight_ways(
 
 
 def _furthest(one: AttemptFailed | None, other: AttemptFailed) -> AttemptFailed:
-    """Return the attempt that came further."""
     return other if one is None or STAGES.index(other.stage) > STAGES.index(one.stage) else one
 
 
-# -- where the flange is, and what stands where
+def _attempted(compute: Callable[..., _Tried], *arguments: Any) -> _Tried | AttemptFailed:
+    try:
+        return compute(*arguments)
+    except AttemptFailed as failed:
+        return failed
 
 
 @dataclass(frozen=True, eq=False)
 class FlangePoses:
-    """``base_T_tool0`` at the ends of the straight ways of one task.
-
-    Attributes:
-        lifted, above: Ends of the free way with the element.
-    """
+    """``base_T_tool0`` at the ends of the straight ways of one task; `lifted`, `above`: ends of the free way with the element."""
 
     before: Pose
     stock: Pose
@@ -238,7 +232,7 @@ class Scenes:
 
 
 def flange_poses(search: Search, grip: Grip, leave: np.ndarray, arrive: np.ndarray) -> FlangePoses:
-    """Return where the flange goes; `leave`, `arrive`: the element's straight ways, shape (3,)."""
+    """Return where the flange goes, with the element's straight ways."""
     job, recipe = search.job, search.recipe
     assert job.base_T_stock is not None
     tcp_T_tool0 = inverse(pose_of(search.tool.tool.tool0_T_tcp))
@@ -266,7 +260,7 @@ def _moved(pose: Pose, by: np.ndarray) -> Pose:
 
 
 def scenes(search: Search, at: FlangePoses) -> Scenes:
-    """Return the scene of each part of a task, which allows exactly the contacts that its straight way needs, see `contacts`."""
+    """Return the scene of each part of a task, with exactly the contacts allowed that its straight way needs."""
     scene, job, grips, link = search.scene, search.job, search.recipe.grips, search.robot.tip_link
     bare = tool_objects(search.tool, link)
     own = {item.name for item in job.bodies}
@@ -307,29 +301,6 @@ def scenes(search: Search, at: FlangePoses) -> Scenes:
     return Scenes(scene, *(SceneChange(tuple(items)).apply(scene) for items in after))
 
 
-# -- the attempt with one grip and one pair of straight ways
-
-_Computed = TypeVar("_Computed")
-
-
-def _computed_once(
-    computed: dict[int, _Computed | AttemptFailed],
-    number: int,
-    compute: Callable[[np.ndarray], _Computed],
-    q: np.ndarray,
-) -> _Computed:
-    """Return what was made of a joint solution at the first call, or raise why it could not be made."""
-    if number not in computed:
-        try:
-            computed[number] = compute(q)
-        except AttemptFailed as failed:
-            computed[number] = failed
-    found = computed[number]
-    if isinstance(found, AttemptFailed):
-        raise found
-    return found
-
-
 class _Stock(NamedTuple):
     before: np.ndarray
     approach: Trajectory
@@ -342,34 +313,47 @@ class _Goal(NamedTuple):
     retreat: Trajectory
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Attempt:
     search: Search
     grip: Grip
     at: FlangePoses
     scenes: Scenes
-    _stocks: dict[int, _Stock | AttemptFailed] = field(default_factory=dict)
-    _goals: dict[int, _Goal | AttemptFailed] = field(default_factory=dict)
 
     def plan(self) -> TaskMotions:
         """Return the plan; the joint solutions with the shortest free ways first."""
-        find, at, there = self.search.solutions, self.at, self.scenes
-        befores = find(at.before, self.search.start, there.fetch, APPROACH, "before gripping")
-        aboves = find(at.above, befores[0], there.carry, SET_DOWN, "above its place")
+        search, at, there = self.search, self.at, self.scenes
+        befores = search.solutions(at.before, search.start, there.fetch, APPROACH, "before gripping")
+        aboves = search.solutions(at.above, befores[0], there.carry, SET_DOWN, "above its place")
+        # what has failed alone fails in every pair
+        stock_of = cache(lambda number: _attempted(self._stock_motions, befores[number]))
+        goal_of = cache(lambda number: _attempted(self._goal_motions, aboves[number]))
+        pairs = itertools.product(range(len(befores)), range(len(aboves)))
         furthest: AttemptFailed | None = None
         tried = 0
-        for one, other in self._combinations(befores, aboves):
-            if tried >= PAIRS or (tried and self.search.is_out_of_time):
+        for one, other in sorted(pairs, key=lambda pair: (*self._order(befores[pair[0]], aboves[pair[1]]), pair)):
+            if tried >= PAIRS or (tried and search.is_out_of_time):
                 break
-            try:
-                stock = _computed_once(self._stocks, one, self._stock_motions, befores[one])
-                goal = _computed_once(self._goals, other, self._goal_motions, aboves[other])
+            stock = stock_of(one)
+            goal = stock if isinstance(stock, AttemptFailed) else goal_of(other)
+            if not isinstance(stock, AttemptFailed) and not isinstance(goal, AttemptFailed):
                 tried += 1
-                return self._joined(stock, goal)
-            except AttemptFailed as failed:
-                furthest = _furthest(furthest, failed)
+                plan = _attempted(self._joined, stock, goal)
+                if isinstance(plan, TaskMotions):
+                    return plan
+                goal = plan
+            furthest = _furthest(furthest, goal)
         assert furthest is not None
         raise furthest
+
+    def _order(self, before: np.ndarray, above: np.ndarray) -> tuple[int, float]:
+        """Return how many joint solutions are near an end of the range, and the time of the free ways [s]."""
+        robot = self.search.robot
+        lower, upper, pace = np.array(robot.lower), np.array(robot.upper), np.array(robot.velocity)
+        edge = _NEAR_LIMIT * (upper - lower)
+        limited = sum(bool(np.any((q < lower + edge) | (q > upper - edge))) for q in (before, above))
+        ways = (before - self.search.start, above - before)
+        return limited, round(sum(float(np.max(np.abs(way) / pace)) for way in ways), 9)
 
     def plan_carried(self) -> TaskMotions:
         """Return the rest of a plan whose element is held."""
@@ -382,37 +366,6 @@ class _Attempt:
             return self._carried(PlanBuilder(search, search.scene), carry, goal)
 
         return _first_success(search, search.nearest(aboves)[:PAIRS], above)
-
-    def _combinations(self, befores: list[np.ndarray], aboves: list[np.ndarray]) -> Iterator[tuple[int, int]]:
-        robot = self.search.robot
-        pace = np.array(robot.velocity)
-
-        def time(first: np.ndarray, second: np.ndarray) -> float:
-            return float(np.max(np.abs(second - first) / pace))
-
-        lower, upper = np.array(robot.lower), np.array(robot.upper)
-        edge = _NEAR_LIMIT * (upper - lower)
-
-        def limited(q: np.ndarray) -> bool:
-            """Return whether a straight way from there may well leave the range."""
-            return bool(np.any((q < lower + edge) | (q > upper - edge)))
-
-        pairs = [
-            (
-                limited(before) + limited(above),
-                round(time(self.search.start, before) + time(before, above), 9),
-                one,
-                other,
-            )
-            for one, before in enumerate(befores)
-            for other, above in enumerate(aboves)
-        ]
-        for _, _, one, other in sorted(pairs):
-            # what has failed alone fails in every combination
-            if not (
-                isinstance(self._stocks.get(one), AttemptFailed) or isinstance(self._goals.get(other), AttemptFailed)
-            ):
-                yield one, other
 
     def _stock_motions(self, before: np.ndarray) -> _Stock:
         search, recipe, at, there = self.search, self.search.recipe, self.at, self.scenes

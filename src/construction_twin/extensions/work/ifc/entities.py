@@ -1,17 +1,21 @@
-"""Units, property sets, quantities, materials and masses. Measures become SI; values that are lists become texts."""
+"""Properties and relations of entities: units, property sets, masses, and which is part of, in or on which.
+
+Measures become SI; values that are lists become texts. Loops of parts are refused.
+"""
 
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
 
 import ifcopenshell
 import ifcopenshell.util.element
 import ifcopenshell.util.unit
 
-from construction_twin.extensions.work.building import Body, Value
-from construction_twin.extensions.work.errors import BuildingError
+from construction_twin.extensions.work.building import Body, BuildingError, Value
 from construction_twin.extensions.work.ifc.notes import Notes, ReadingEntity, label
 
 _Entity = ifcopenshell.entity_instance
@@ -35,10 +39,7 @@ _OF_MASS = ("MASSUNIT", "MASSDENSITYUNIT")
 
 @dataclass(frozen=True)
 class Units:
-    """SI units per unit of the file.
-
-    `factors`: By each kind of which the project has one: [m], [m²], [m³], [kg], [rad], [s], [kg/m³].
-    """
+    """SI units ([m], [kg], ...) per unit of the file, by the kinds of which the project has one."""
 
     factors: Mapping[str, float]
 
@@ -53,7 +54,7 @@ class Units:
         return _is_power_of_ten(self.length)
 
     def factor(self, measure: str) -> float:
-        """Return SI units per unit of a measure or quantity of the schema; 1 for what has no unit or one that is not converted."""
+        """Return SI units per unit of a measure or quantity of the schema; 1: not converted."""
         kind = _kind(measure)
         power = {"AREAUNIT": 2, "VOLUMEUNIT": 3}.get(kind)
         return self.factors.get(kind, self.length**power if power else 1.0)
@@ -91,7 +92,7 @@ def read_units(file: ifcopenshell.file, name: str, notes: Notes) -> Units:
 
 
 def _si_factor(unit: _Entity) -> float | None:
-    """Return SI units (of mass: kilograms) per unit; None: only people know what it is, or it is none."""
+    """Return SI units (of mass: kilograms) per unit; None: unknown."""
     # money has no kind
     if not hasattr(unit, "UnitType") or any(part.is_a("IfcContextDependentUnit") for part in unit.file.traverse(unit)):
         return None
@@ -100,20 +101,12 @@ def _si_factor(unit: _Entity) -> float | None:
 
 
 def _kind(measure: str) -> str:
-    """Return the kind of unit of a measure or quantity of the schema."""
     measure = measure.replace("Quantity", "").replace("Weight", "Mass")
     return ifcopenshell.util.unit.get_measure_unit_type(measure)  # type: ignore[arg-type]
 
 
-# -- of products and tasks
-
-
 def read_properties(product: _Entity, at: str, units: Units, notes: Notes) -> Sets:
-    """Return the values by set and name; the type's own included, the element's win.
-
-    What is noted stands at the id `at`, the element's record. A set that cannot be read is left out with a note: it says nothing
-    about where the element is or what shape it has.
-    """
+    """Return the values by set and name, the type's own included; `at`: the id for notes, also on sets that cannot be read."""
     sets: Sets = {}
     try:
         with ReadingEntity("", product):
@@ -153,7 +146,7 @@ def _value(entry: dict, units: Units, what: str, product: _Entity, at: str, note
 
 
 def _factor(holder: _Entity, measure: str, units: Units) -> float | None:
-    """Return SI units per unit of a property or quantity: of its own unit, else of the project's; None: nobody can say."""
+    """Return SI units per unit of a property or quantity, by its own unit or the project's; None: unknown."""
     own = getattr(holder, "Unit", None)
     if own is None:
         return units.factor(measure)
@@ -162,10 +155,7 @@ def _factor(holder: _Entity, measure: str, units: Units) -> float | None:
 
 
 def read_status(product: _Entity, at: str, sets: Sets, notes: Notes) -> str:
-    """Return ``existing``, ``demolish``, ``new`` or nothing: the property `Status` of a set ``Pset_...Common``, in any case.
-
-    Another word is noted, and its element is still to be made.
-    """
+    """Return ``existing``, ``demolish``, ``new`` or nothing: the property `Status` of a set ``Pset_...Common``."""
     found: set[str] = set()
     for name, values in sets.items():
         given, low = values.get("Status"), name.casefold()
@@ -181,10 +171,7 @@ def read_status(product: _Entity, at: str, sets: Sets, notes: Notes) -> str:
 def read_mass(
     product: _Entity, at: str, sets: Sets, bodies: tuple[Body, ...], units: Units, notes: Notes
 ) -> float | None:
-    """Return the mass [kg]: a quantity of weight; or the density of its only material times the volume of its closed bodies.
-
-    One that its volume cannot have is noted; by a density it is not known then.
-    """
+    """Return the mass [kg]: a quantity of weight, or the density of its only material times the volume of its closed bodies."""
     whole = sum(body.volume for body in bodies) if all(body.is_closed for body in bodies) else 0.0
     mass = weight = _weight(product, at, sets, units, notes)
     if mass is None and whole > 0.0 and (density := _density(product, at, units, notes)) is not None:
@@ -225,7 +212,7 @@ def _weight(product: _Entity, at: str, sets: Sets, units: Units, notes: Notes) -
 
 
 def _density(product: _Entity, at: str, units: Units, notes: Notes) -> float | None:
-    """Return the density of an element's only material [kg/m³]; None: not known, or in a unit that nobody says."""
+    """Return the density of an element's only material [kg/m³]; None: unknown."""
     try:
         with ReadingEntity("", product):
             materials = {each.id(): each for each in ifcopenshell.util.element.get_materials(product)}
@@ -251,7 +238,6 @@ def _density(product: _Entity, at: str, units: Units, notes: Notes) -> float | N
 
 
 def _material_density(material: _Entity) -> tuple[object, _Entity | None]:
-    """Return the density that a material has, and the property that holds it; both None: it has none."""
     if material.file.schema == "IFC2X3":
         given = [each for each in material.file.get_inverse(material) if each.is_a("IfcGeneralMaterialProperties")]
         return next((each.MassDensity for each in given), None), None
@@ -263,3 +249,101 @@ def _material_density(material: _Entity) -> tuple[object, _Entity | None]:
 
 def _is_power_of_ten(factor: float) -> bool:
     return math.isclose(factor, 10.0 ** round(math.log10(factor)), rel_tol=1e-9)
+
+
+_Entity = ifcopenshell.entity_instance
+_Entities = dict[int, list[_Entity]]
+#: Relations of what is in or on elements: attributes of the elements, and of what is in or on them.
+_ON = {
+    "IfcRelFillsElement": (("RelatingOpeningElement",), "RelatedBuildingElement"),
+    "IfcRelCoversBldgElements": (("RelatingBuildingElement",), "RelatedCoverings"),
+    "IfcRelProjectsElement": (("RelatingElement",), "RelatedFeatureElement"),
+    "IfcRelConnectsWithRealizingElements": (("RelatingElement", "RelatedElement"), "RealizingElements"),
+}
+
+
+@dataclass(frozen=True)
+class Relations:
+    """By id: the whole of a part, openings of an element, what something is on, and what a group or part of the site holds."""
+
+    whole: dict[int, _Entity]
+    openings: _Entities
+    on: _Entities
+    members: _Entities
+
+    def within(self, group: _Entity) -> list[_Entity]:
+        """Return what a group or a part of the site holds, what holds things itself replaced by these."""
+        found: dict[int, _Entity] = {}
+        left, visited = [group], set()
+        while left:
+            at = left.pop(0)
+            if at.id() in visited:
+                continue
+            visited.add(at.id())
+            if at.id() in self.members:
+                left += self.members[at.id()]
+            elif at is not group:
+                found[at.id()] = at
+        return [found[number] for number in sorted(found)]
+
+    def wholes(self, entity: _Entity) -> list[_Entity]:
+        """Return what an entity is part of, the nearest first."""
+        found: list[_Entity] = []
+        whole = self.whole.get(entity.id())
+        while whole is not None:
+            found.append(whole)
+            whole = self.whole.get(whole.id())
+        return found
+
+
+def read_relations(file: ifcopenshell.file, name: str) -> Relations:
+    """Read the relations of a file."""
+    whole: dict[int, _Entity] = {}
+    members: _Entities = defaultdict(list)
+    # in IFC2x3 both are subtypes of IfcRelDecomposes; nesting of tasks and resources is read with them, for its loops
+    for relation in (*file.by_type("IfcRelAggregates"), *file.by_type("IfcRelNests")):
+        with ReadingEntity(name, relation):
+            for part in relation.RelatedObjects:
+                whole.setdefault(part.id(), relation.RelatingObject)
+                if relation.RelatingObject.is_a("IfcProduct") and not relation.RelatingObject.is_a("IfcElement"):
+                    members[relation.RelatingObject.id()].append(part)
+    for relation in file.by_type("IfcRelContainedInSpatialStructure"):
+        with ReadingEntity(name, relation):
+            for part in relation.RelatedElements:
+                members[relation.RelatingStructure.id()].append(part)
+    for relation in file.by_type("IfcRelAssignsToGroup"):
+        with ReadingEntity(name, relation):
+            members[relation.RelatingGroup.id()] += relation.RelatedObjects
+    voided: dict[int, _Entity] = {}
+    openings: _Entities = defaultdict(list)
+    for relation in file.by_type("IfcRelVoidsElement"):
+        with ReadingEntity(name, relation):
+            openings[relation.RelatingBuildingElement.id()].append(relation.RelatedOpeningElement)
+            voided[relation.RelatedOpeningElement.id()] = relation.RelatingBuildingElement
+    refuse_loops(file, name, whole)
+    return Relations(whole, dict(openings), _on(file, name, voided), dict(members))
+
+
+def _on(file: ifcopenshell.file, name: str, voided: dict[int, _Entity]) -> _Entities:
+    found: _Entities = defaultdict(list)
+    for kind, (hosts, guests) in _ON.items():
+        for relation in file.by_type(kind):
+            with ReadingEntity(name, relation):
+                given = getattr(relation, guests)
+                for host in filter(None, (getattr(relation, attribute) for attribute in hosts)):
+                    # what fills an opening is in the element that it is cut out of
+                    element = voided.get(host.id(), host)
+                    for guest in filter(None, given if isinstance(given, tuple) else (given,)):
+                        found[guest.id()].append(element)
+    return dict(found)
+
+
+def refuse_loops(file: ifcopenshell.file, name: str, whole: dict[int, _Entity]) -> None:
+    """Raise BuildingError where an entity is part of itself."""
+    try:
+        TopologicalSorter({part: (parent.id(),) for part, parent in whole.items()}).prepare()
+    except CycleError as error:
+        # from the part to its whole
+        loop = [label(file.by_id(each)) for each in reversed(error.args[1])]
+        found = f"part of itself ({' in '.join(loop[:4])} ...)"
+        raise BuildingError(name, loop[0], found, "no loop of parts") from error
