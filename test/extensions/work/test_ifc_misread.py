@@ -279,7 +279,7 @@ def test_what_exists_or_goes_is_not_proposed(read):
     assert [job.element for job in schedule.jobs] == [new.GlobalId]
     assert [(job.id, job.element) for job in schedule.removals] == [(f"{gone.GlobalId}/removal", gone.GlobalId)]
     assert remarked(found, kept, "Existing elements: obstacles")
-    assert remarked(found, gone, "Elements that are to be taken down")
+    assert remarked(found, gone, "Elements to be taken down")
 
 
 def test_what_is_to_go_and_is_given_to_a_task_without_a_kind_is_taken_down_by_it(read):

@@ -373,8 +373,8 @@ def with_removal(tmp_path: Path, clock: Clock) -> TaskBoard:
 def test_what_is_to_be_taken_down_stands_and_holds_up_until_a_person_says_that_it_is_gone(tmp_path, clock):
     one = with_removal(tmp_path, clock)
     assert one.next(clock()) == "" and one.obstacle("T1", clock()).endswith("waits for 'Take down wall'")
-    assert "`twin work removed 'Take down wall'`" in one.obstacle("D1", clock())
-    assert "`twin work removed 'Take down wall'`" in one.summary(clock())
+    assert "`twin work removed D1`" in one.obstacle("D1", clock())
+    assert "`twin work removed D1`" in one.summary(clock())
     assert "W1/0" in one.built.wanted_scene()[0]
     with pytest.raises(WorkRefused, match=r"who says so\?"):
         decisions.removed(one, "D1", "", "")

@@ -251,7 +251,6 @@ def _is_power_of_ten(factor: float) -> bool:
     return math.isclose(factor, 10.0 ** round(math.log10(factor)), rel_tol=1e-9)
 
 
-_Entity = ifcopenshell.entity_instance
 _Entities = dict[int, list[_Entity]]
 #: Relations of what is in or on elements: attributes of the elements, and of what is in or on them.
 _ON = {

@@ -59,7 +59,6 @@ def _whole_plan(search: Search, mass: float) -> TaskMotions:
         raise TaskPlanningError(job.task, str(error), GRIP) from error
     if not grips.grips:
         raise TaskPlanningError(job.task, f"recipe {search.name!r} finds no grip: {grips.reason}", GRIP)
-    _require_support(search)
     tried = 0
 
     def with_grip(grip: Grip) -> TaskMotions:
@@ -144,6 +143,7 @@ def _with_grip(search: Search, grip: Grip) -> TaskMotions:
     def by(leave_arrive: tuple[np.ndarray, np.ndarray]) -> TaskMotions:
         at = flange_poses(search, grip, *leave_arrive)
         _check_reach(at, search)
+        _require_support(search)
         there = scenes(search, at)
         _check_bodies(search, at, there)
         return _Attempt(search, grip, at, there).plan()
@@ -335,14 +335,13 @@ class _Attempt:
             if tried >= PAIRS or (tried and search.is_out_of_time):
                 break
             stock = stock_of(one)
-            goal = stock if isinstance(stock, AttemptFailed) else goal_of(other)
-            if not isinstance(stock, AttemptFailed) and not isinstance(goal, AttemptFailed):
+            found = stock if isinstance(stock, AttemptFailed) else goal_of(other)
+            if isinstance(found, _Goal):
                 tried += 1
-                plan = _attempted(self._joined, stock, goal)
-                if isinstance(plan, TaskMotions):
-                    return plan
-                goal = plan
-            furthest = _furthest(furthest, goal)
+                found = _attempted(self._joined, stock, found)
+            if isinstance(found, TaskMotions):
+                return found
+            furthest = _furthest(furthest, found)
         assert furthest is not None
         raise furthest
 
