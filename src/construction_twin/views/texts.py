@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 
 from construction_twin.core.reports import ExecutionReport, HoldReport, LinkReport, SyncReport
 from construction_twin.core.sentences import Sentence
@@ -58,7 +58,7 @@ def hold_cause(hold: HoldReport | None) -> str:
     """Return what keeps the gate closed, and since when, by this machine's time of day; "" while nothing does."""
     if hold is None or not hold.cause:
         return ""
-    since = time.strftime("%H:%M:%S", time.localtime(hold.since / NANOSECONDS))
+    since = f"{datetime.fromtimestamp(hold.since / NANOSECONDS):%H:%M:%S}"
     return Sentence("{reason}, since {since}", reason=hold.cause, since=since)
 
 

@@ -115,6 +115,13 @@ def test_speeding_up_is_bounded_by_the_budget(sign):
     stream.step(sign * (0.5 + 0.99 * BUDGET))
 
 
+def test_after_a_lost_command_the_budget_is_that_of_the_mean_of_both_periods():
+    stream = Stream().accelerate(0.5)
+    budget = 2.5 * 1.5 * CYCLE + format_allowance(DECIMALS) * CYCLE / 2
+    assert refusal(stream.step, 0.5 + 1.001 * budget, 2).reason == "acceleration"
+    stream.step(0.5 + 0.999 * budget, 2)
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_stopping_at_once_is_the_followers_to_absorb(sign):
     stream = Stream().accelerate(sign * 1.0)

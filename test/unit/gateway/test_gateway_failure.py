@@ -138,3 +138,15 @@ def test_a_slow_disk_and_a_broken_state_machine_hold_no_reply_up(broker, topics,
         assert "injected" in service.failure and service.gateway.counters["failures"] >= 2
         assert client.wait_for_status(state="failed")
     assert looked_up
+
+
+def test_a_failure_is_told_behind_the_answer_that_is_owed(broker, topics):
+    with cell(broker, topics, config=PATIENT) as (service, controller, client):
+        assert client.arm(PATIENT)["ok"]
+        stream(client, controller, (motion(k) for k in range(40)))
+        order, answer, fail = [], service.controller.answer_as_last_resort, service.gateway.fail
+        service.controller.answer_as_last_resort = lambda: (order.append("answer"), answer())[1]
+        service.gateway.fail = lambda reason: (order.append("failure"), fail(reason))
+        service.gateway.player.playout.advance = broken
+        wait_until(lambda: "failure" in order, what="the failure")
+    assert order[0] == "answer"

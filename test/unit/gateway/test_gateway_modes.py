@@ -54,6 +54,17 @@ def test_commissioning_is_said_wherever_somebody_looks():
     assert Cell().gateway.status()["mode"] == "normal"
 
 
+def test_missing_telegrams_are_no_restart_where_only_the_computed_correction_is_not_zero():
+    cell = commissioning()
+    cell.arm()
+    cell.stream(slow(k) for k in range(200))
+    cell.control("stop")
+    cell.cycle(300)
+    assert any(cell.gateway.controller.replies.correction)
+    cell.cycle(step_ms=3 * cell.config.cycle)
+    assert (cell.state, cell.count("rsi_sessions"), cell.count("ipoc_steps_irregular")) == (State.HOLDING, 1, 1)
+
+
 def test_after_a_stop_in_commissioning_the_next_stream_begins_where_the_arm_stands():
     cell = commissioning()
     cell.arm()

@@ -223,6 +223,20 @@ def test_a_reference_that_drifts_is_counted_and_the_origin_stays():
 # -- arming ----------------------------------------------------------------------------------------------------------
 
 
+def test_a_reset_leaves_a_programmed_origin_where_it_is():
+    cell = Cell()
+    droop = (START[0] + 0.9 * CONFIG.start_tolerance, START[1])
+    cell.cycle(2, measured=droop)
+    assert cell.control("reset") == (True, "reset")
+    assert cell.gateway.controller.origin == START
+    # so that nothing is added to what the next stream asks for
+    assert cell.arm()[0]
+    for _ in range(20):
+        cell.send(START)
+        cell.cycle(measured=droop)
+    assert cell.replies[-1] == (0.0, 0.0)
+
+
 def test_only_the_right_configuration_hash_arms():
     cell = Cell()
     cell.cycle()
