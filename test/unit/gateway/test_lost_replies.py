@@ -167,6 +167,21 @@ def test_lost_telegrams_are_the_same(lost, cycle):
     assert (cell.state, cell.count("settling")) == (State.FOLLOWING, 0)
 
 
+def test_what_has_arrived_last_stays_while_replies_are_lost_for_whoever_goes_on_from_there():
+    # the last resort, and a controller whose cycle is shorter than the expected one
+    cell = moving()
+    cell.lose("nrrrn")
+    go_on(cell, 1)
+    arrived = cell.measured
+    for _ in range(3):
+        go_on(cell, 1)
+        replies = cell.gateway.controller.replies
+        assert cell.measured == arrived and replies.sent != replies.last_acknowledged
+    go_on(cell, 1)
+    expected = tuple(now - origin for now, origin in zip(arrived, cell.gateway.controller.origin))
+    assert replies.last_acknowledged == pytest.approx(expected, abs=1e-12)
+
+
 @pytest.mark.parametrize("cumulative", [False, True])
 def test_the_stamp_of_a_pose_is_that_of_the_target_that_arrived(cumulative):
     cell = moving(cumulative=cumulative)
