@@ -1,7 +1,9 @@
 import assert from "node:assert/strict";
 import {mock, test} from "node:test";
 import {makeCell} from "../src/picture/cell.js";
+import {Box3, Vector3} from "three";
 import {AHEAD, BY_TASK, GOAL, TRAVELLED} from "../src/picture/colours.js";
+import {loadMesh} from "../src/picture/robot_model.js";
 import {fakePage, plan, view, work} from "./support/fake.js";
 
 /** A cell whose files the test answers: `answers` by the end of the path, a status or a text; `asked` holds the paths. */
@@ -135,6 +137,51 @@ test("OBJ and GLB meshes are drawn, and one that cannot be read costs that link 
   await none.hear("kr120", "view", view());
   for (const end = Date.now() + 10_000; !none.made.state.failed && Date.now() < end;) await none.settle();
   assert.notEqual(none.made.state.failed, "", "an arm without any mesh is none");
+});
+
+/** A tetrahedron of 0.2, 0.4 and 0.95 m in files of several formats, units and up axes. */
+const CORNERS = [0, 0, 0, 0.2, 0, 0, 0, 0.4, 0, 0, 0, 0.95];
+const FACES = [0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3];
+const scaled = (factor) => CORNERS.map((value) => value * factor);
+const triples = (values) => [0, 3, 6, 9].map((k) => values.slice(k, k + 3));
+
+const collada = (metres, axis) => `<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit name="u" meter="${metres}"/><up_axis>${axis}</up_axis></asset><library_geometries><geometry id="g"><mesh><source id="p">
+<float_array id="a" count="12">${scaled(1 / metres).join(" ")}</float_array><technique_common><accessor source="#a" count="4" stride="3">
+<param name="X" type="float"/><param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices><triangles count="4"><input semantic="VERTEX" source="#v" offset="0"/>
+<p>${FACES.join(" ")}</p></triangles></mesh></geometry></library_geometries><library_visual_scenes><visual_scene id="s"><node id="n">
+<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>`;
+
+/** A binary glTF in mm, whose root node makes metres of it. */
+function glbInMillimetres() {
+  const data = Buffer.concat([Buffer.from(Float32Array.from(scaled(1000)).buffer), Buffer.from(Uint16Array.from(FACES).buffer)]);
+  const about = JSON.stringify({
+    asset: {version: "2.0"}, scene: 0, scenes: [{nodes: [0]}], nodes: [{children: [1], scale: [0.001, 0.001, 0.001]}, {mesh: 0}],
+    meshes: [{primitives: [{attributes: {POSITION: 0}, indices: 1}]}], buffers: [{byteLength: data.length}],
+    bufferViews: [{buffer: 0, byteLength: 48}, {buffer: 0, byteOffset: 48, byteLength: 24}],
+    accessors: [{bufferView: 0, componentType: 5126, count: 4, type: "VEC3", min: [0, 0, 0], max: [200, 400, 950]},
+      {bufferView: 1, componentType: 5123, count: 12, type: "SCALAR"}],
+  });
+  const text = Buffer.from(about.padEnd(4 * Math.ceil(about.length / 4)));
+  const chunk = (kind, bytes) => [Buffer.from(Uint32Array.of(bytes.length, kind).buffer), bytes];
+  const all = Buffer.concat([...chunk(0x4E4F534A, text), ...chunk(0x004E4942, data)]);
+  return Buffer.concat([Buffer.from(Uint32Array.of(0x46546C67, 2, 12 + all.length).buffer), all]);
+}
+
+test("a mesh is drawn in the same size from every format, unit and up axis", async () => {
+  const facets = triples(FACES).map((face) => face.map((k) => `vertex ${triples(CORNERS)[k].join(" ")}`).join("\n"));
+  const files = {
+    "a.stl": `solid a\n${facets.map((corners) => `facet normal 0 0 1\nouter loop\n${corners}\nendloop\nendfacet`).join("\n")}\nendsolid a\n`,
+    "a.OBJ": [...triples(CORNERS).map((corner) => `v ${corner.join(" ")}`), ...triples(FACES).map((face) => `f ${face.map((k) => k + 1).join(" ")}`)].join("\n"),
+    "cm.dae": collada(0.01, "Z_UP"), "mm.dae": collada(0.001, "Y_UP"), "inch.dae": collada(0.0254, "X_UP"), "mm.glb": glbInMillimetres(),
+  };
+  globalThis.location = new URL("https://twin.cell/cell1/");
+  for (const [name, contents] of Object.entries(files)) {
+    globalThis.fetch = async () => ({ok: true, arrayBuffer: async () => Uint8Array.from(Buffer.from(contents)).buffer});
+    const size = new Box3().setFromObject(await loadMesh(`https://twin.cell/cell1/private/mesh/${name}`, null)).getSize(new Vector3());
+    size.toArray().forEach((value, k) => assert.ok(Math.abs(value - [0.2, 0.4, 0.95][k]) < 1e-6, `${name}: ${size.toArray()}`));
+  }
 });
 
 const NAMES = ["joint_a1", "joint_a2"];

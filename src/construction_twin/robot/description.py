@@ -37,6 +37,8 @@ ESTIMATES = {
 #: Largest range of a joint that turns without end: angles further from zero lose digits on the wire [deg].
 _MOST_TURNED = 3600.0
 
+#: What no revolute joint reaches [rad]: the joint string carries less than 1000 deg.
+_MOST_RADIANS = math.radians(1000.0)
 #: The types that have one position, and its unit.
 _UNITS = {"revolute": "rad", "continuous": "rad", "prismatic": "m"}
 
@@ -217,7 +219,7 @@ def check_joint(joint: Joint) -> None:
         found = "a mimic joint" if joint.mimic is not None else joint.joint_type
         raise ConfigurationError(where, found, "an independent revolute, continuous or prismatic joint")
     unit = "m" if joint.joint_type == "prismatic" else "rad"
-    positive = f"a positive number [{unit}/s]"
+    positive = f"the full speed that the maker states, above 0 [{unit}/s]"
     limit = joint.limit
     if joint.joint_type == "continuous":
         if limit is None or not 0 < limit.velocity < math.inf:
@@ -232,8 +234,21 @@ def check_joint(joint: Joint) -> None:
     ):
         found = None if limit is None else f"lower {limit.lower}, upper {limit.upper}"
         raise ConfigurationError(f"{where} limit", found, f"finite ones, lower < upper [{unit}]")
+    if unit == "rad" and max(abs(limit.lower), abs(limit.upper)) >= _MOST_RADIANS:
+        lower, upper = radians((limit.lower, limit.upper))
+        expected = f'radians, below {_MOST_RADIANS:.1f} (1000 deg); of degrees lower="{lower:.6g}" upper="{upper:.6g}"'
+        raise ConfigurationError(f"{where} limit", f"lower {limit.lower:g}, upper {limit.upper:g}", expected)
     if not 0 < limit.velocity < math.inf:
         raise ConfigurationError(f"{where} limit velocity", limit.velocity, positive)
+
+
+def urdf_range(joint: Joint) -> tuple[float, float]:
+    """Return lower and upper end of a joint that has both [rad], [m]: the safety_controller's where they are narrower."""
+    lower, upper, soft = float(joint.limit.lower), float(joint.limit.upper), joint.safety_controller
+    # both are optional, and 0 where they are left out
+    if soft is None or not soft.soft_lower_limit < soft.soft_upper_limit:
+        return lower, upper
+    return max(lower, float(soft.soft_lower_limit)), min(upper, float(soft.soft_upper_limit))
 
 
 def _range(joint: Joint, described: _RevoluteJoint | _PrismaticJoint) -> tuple[float, float]:
@@ -243,7 +258,7 @@ def _range(joint: Joint, described: _RevoluteJoint | _PrismaticJoint) -> tuple[f
     if joint.joint_type != "continuous":
         if range_deg is not None:
             raise ConfigurationError(where, list(range_deg), "no range: the URDF has this joint's")
-        return float(joint.limit.lower), float(joint.limit.upper)
+        return urdf_range(joint)
     if range_deg is None or not range_deg[0] < range_deg[1]:
         raise ConfigurationError(
             where,

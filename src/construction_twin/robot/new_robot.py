@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -11,9 +12,10 @@ from typing import Any
 from urdf_parser_py.urdf import URDF, Joint
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.robot.description import ESTIMATES, RobotModel, check_joint, load_robot
+from construction_twin.robot.description import ESTIMATES, RobotModel, check_joint, load_robot, urdf_range
 from construction_twin.robot.urdf import chain_joints, expand_xacro, parse_urdf, xacro_arguments
 
+_LOG = logging.getLogger(__name__)
 #: What is an estimate in every file that is written here; `RANGES` as well, where the URDF has a joint without a range.
 ESTIMATED = ("accelerations", "jerks", "axes", "couplings")
 #: An estimate until `with_home` has put in a reviewed pose.
@@ -26,6 +28,8 @@ _JERK_TIME = 0.1
 _DEGREES = 180.0 / math.pi
 #: More joints than RSI has axes for.
 _MOST = 12
+#: Beyond this [rad], a turn and a bit, whole numbers are probably degrees; no industrial arm's joint is as fast as this [rad/s].
+_FAR, _FAST = 6.5, 30.0
 
 
 def robot_name(urdf: str) -> str:
@@ -69,12 +73,15 @@ def new_description(urdf: str, name: str, base_link: str, tip_link: str, full_sp
         raise ConfigurationError("tip link", tip_link, f"a link that 1 to {_MOST} joints move; {len(joints)} do")
     axes = rsi_axes([joint.joint_type == "prismatic" for joint in joints])
     endless = any(joint.joint_type == "continuous" for joint in joints)
+    described = {joint.name: _joint(joint, axis, full_speed_in) for joint, axis in zip(joints, axes)}
+    for remark in _remarks(joints):
+        _LOG.warning("%s", remark)
     return {
         "name": name,
         "base_link": base_link,
         "tip_link": tip_link,
         "estimates": [word for word in ESTIMATES if word in (*ESTIMATED, HOME) or (endless and word == RANGES)],
-        "joints": {joint.name: _joint(joint, axis, full_speed_in) for joint, axis in zip(joints, axes)},
+        "joints": described,
     }
 
 
@@ -95,12 +102,37 @@ def rsi_axes(linear: Sequence[bool]) -> list[str]:
     return [f"A{index + 1}" if 0 <= index < 6 else next(external) for index in own]
 
 
+def _remarks(joints: Sequence[Joint]) -> list[str]:
+    """Return what a person should know of a chain's limits that are accepted: probably degrees, and narrower soft limits."""
+    remarks, narrowed = [], []
+    for joint in joints:
+        where, limit = f"URDF joint {joint.name} limit", joint.limit
+        if joint.joint_type == "revolute":
+            ends = (limit.lower, limit.upper)
+            if max(map(abs, ends)) > _FAR and all(float(end).is_integer() for end in ends):
+                in_degrees = " to ".join(f"{math.degrees(end):.0f}" for end in ends)
+                remarks.append(
+                    f"{where}: lower {ends[0]:g}, upper {ends[1]:g} are radians in a URDF, here {in_degrees} deg; if they are "
+                    f'meant as degrees, write lower="{math.radians(ends[0]):.6g}" upper="{math.radians(ends[1]):.6g}"'
+                )
+        if joint.joint_type != "prismatic" and limit.velocity > _FAST:
+            remarks.append(
+                f"{where}: velocity {limit.velocity:g} is in rad/s in a URDF, here {math.degrees(limit.velocity):.0f} deg/s; if it "
+                f'is meant in degrees, write velocity="{math.radians(limit.velocity):.6g}"'
+            )
+        if joint.joint_type != "continuous" and urdf_range(joint) != (limit.lower, limit.upper):
+            narrowed.append(joint.name)
+    if narrowed:
+        remarks.append(f"the soft limits of the URDF's safety_controller are the range of {', '.join(narrowed)}")
+    return remarks
+
+
 def _joint(joint: Joint, axis: str, full_speed_in: float) -> dict[str, Any]:
     check_joint(joint)
     limit, endless = joint.limit, joint.joint_type == "continuous"
     unit, per_unit = ("mm", 1e3) if joint.joint_type == "prismatic" else ("deg", _DEGREES)
     acceleration = _rounded(limit.velocity * per_unit / full_speed_in)
-    middle = 0.0 if endless else (limit.lower + limit.upper) / 2 * per_unit
+    middle = 0.0 if endless else sum(urdf_range(joint)) / 2 * per_unit
     return {
         **({"range_deg": [-CONTINUOUS_DEG, CONTINUOUS_DEG]} if endless else {}),
         f"home_{unit}": round(middle, 3) + 0.0,

@@ -55,16 +55,19 @@ class Packages:
         else:
             path = Path()
         if not path.is_absolute():
-            raise ConfigurationError(where, uri, "package://<package>/<path>, file:///<path> or an absolute path")
+            raise ConfigurationError(
+                where, uri, "package://<package>/<path>, file:///<path> or a path relative to the URDF"
+            )
         if not path.is_file():
             raise ConfigurationError(where, uri, f"a file; there is no {path}")
         return path
 
 
 def with_mesh_files(urdf: str) -> str:
-    """Return a URDF whose collision meshes are named by absolute paths.
+    """Return a URDF whose collision meshes are named by absolute paths, those of COLLADA files scaled by their unit.
 
-    Pinocchio looks for ``package://`` directly in ROS_PACKAGE_PATH only, so it misses every package of a repository of several.
+    Pinocchio looks for ``package://`` directly in ROS_PACKAGE_PATH only, so it misses every package of a repository of several. Of
+    COLLADA it ignores unit and up axis; rviz and the page apply the unit.
     """
     robot = ElementTree.fromstring(urdf)
     packages = Packages()
@@ -73,5 +76,23 @@ def with_mesh_files(urdf: str) -> str:
     ]
     for link, mesh in meshes:
         where = f"URDF link {link} collision mesh"
-        mesh.set("filename", str(packages.file(mesh.get("filename", ""), where)))
+        path = packages.file(mesh.get("filename", ""), where)
+        mesh.set("filename", str(path))
+        if path.suffix.lower() == ".dae":
+            unit = _collada_unit(path, where)
+            mesh.set("scale", " ".join(repr(unit * float(part)) for part in mesh.get("scale", "1 1 1").split()))
     return ElementTree.tostring(robot, encoding="unicode") if meshes else urdf
+
+
+def _collada_unit(path: Path, where: str) -> float:
+    """Return the unit of a COLLADA file [m]."""
+    try:
+        for _, element in ElementTree.iterparse(path):
+            tag = element.tag.rpartition("}")[2]
+            if tag == "unit":
+                return float(element.get("meter", 1.0))
+            if tag == "asset":
+                break
+    except (ElementTree.ParseError, ValueError) as error:
+        raise ConfigurationError(where, f"{path} ({error})", "a well-formed COLLADA file") from error
+    return 1.0

@@ -61,7 +61,7 @@ class _Arguments(dict[str, str]):
 
 
 def expand_xacro(path: str | Path, arguments: Mapping[str, str] | None = None) -> str:
-    """Expand a xacro file to URDF text, indented. ``$(find pkg)`` is answered by rospack."""
+    """Expand a xacro file to URDF text, indented. ``$(find pkg)`` is answered by rospack; meshes are relative to the file."""
     read_text(path)  # xacro's own message for a missing file does not say what was expected
     arguments_read = _Arguments(arguments or {})
     try:
@@ -80,6 +80,11 @@ def expand_xacro(path: str | Path, arguments: Mapping[str, str] | None = None) -
             else "one of the arguments that the file has: none"
         )
         raise ConfigurationError(f"{path} argument", unknown[0], expected)
+    for mesh in document.getElementsByTagName("mesh"):
+        name = mesh.getAttribute("filename")
+        if name and "://" not in name:
+            # rviz has no file that this could be relative to
+            mesh.setAttribute("filename", (Path(path).absolute().parent / name).as_uri())
     return document.toprettyxml(indent="  ")
 
 
@@ -133,10 +138,27 @@ def parse_urdf(urdf: str) -> URDF:
         with contextlib.redirect_stderr(remarks):
             model = URDF.from_xml_string(urdf.encode())
     except (ParseError, ElementTree.ParseError, AssertionError, KeyError, ValueError) as error:
-        raise ConfigurationError("URDF", str(error), "a URDF") from error
+        if isinstance(error, ParseError):
+            _check_limits(urdf)
+        raise ConfigurationError("URDF", " ".join(str(error).split()), "a URDF") from error
     for remark in remarks.getvalue().splitlines():
         _LOG.debug("URDF: %s", remark)
     return model
+
+
+def _check_limits(urdf: str) -> None:
+    """Name the joints whose limits lack what a URDF demands of them."""
+    lacking = []
+    for joint in ElementTree.fromstring(urdf.encode()).iterfind("joint"):
+        for limit in joint.iterfind("limit"):
+            absent = [key for key in ("effort", "velocity") if key not in limit.attrib]
+            lacking += [f"{joint.get('name')} without {' and '.join(absent)}"] if absent else []
+    if lacking:
+        expected = (
+            'effort="..." [N m, N], 0 where it is unknown, and velocity="..." [rad/s, m/s], the full speed that the maker '
+            "states, in the <limit> of each"
+        )
+        raise ConfigurationError("URDF joints", ", ".join(lacking), expected)
 
 
 def chain_joints(model: URDF, base_link: str, tip_link: str) -> list[Joint]:

@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from xml.etree import ElementTree
 
 import coal
@@ -35,6 +36,8 @@ UNKNOWN = -1e300
 _ASIDE = (1e-6, 1e-5, 1e-4)
 #: Range of a joint of Pinocchio's model where it has no effect [rad] or [m].
 _NO_LIMIT = 1e3
+#: Smallest and largest extent of a mesh that is part of an arm [m]: beyond, its unit or its scale is wrong.
+_SMALLEST, _LARGEST = 1e-3, 50.0
 #: Most meshes of scene objects that are kept for the next scene.
 _MESHES_KEPT = 4096
 #: Pieces that reach further beyond their mesh would keep the arm out of what is free: [m], and as a fraction of the mesh's size.
@@ -111,7 +114,7 @@ class RobotBodies:
         base = frames[self.model.getFrameId(robot.base_link)]
         self.root_T_base = base.placement
         self.bodies = tuple(
-            Body(name := frames[shape.parentFrame].name, name, shape.parentJoint, shape.placement, _link_shape(shape.geometry))
+            Body(name := frames[shape.parentFrame].name, name, shape.parentJoint, shape.placement, _link_shape(shape, name))
             for shape in shapes.geometryObjects
         )  # fmt: skip
 
@@ -293,12 +296,22 @@ def _mesh(item: SceneObject) -> coal.CollisionGeometry:
     return body
 
 
-def _link_shape(geometry: coal.CollisionGeometry) -> coal.CollisionGeometry:
+def _link_shape(shape: pinocchio.GeometryObject, link: str) -> coal.CollisionGeometry:
     """Return a closed convex mesh as a solid body, whose distances cost a hundredth of a surface's; any other shape as it is."""
-    if not isinstance(geometry, coal.BVHModelBase) or not is_convex(*mesh_triangles(geometry)):
+    geometry, path, where = shape.geometry, shape.meshPath, f"URDF link {link} collision mesh"
+    if not isinstance(geometry, coal.BVHModelBase):
         return geometry
+    if path.lower().endswith(".glb"):
+        # Coal drops what the root node does to those below it
+        x, y, z = shape.meshScale
+        geometry = surface(*parse_mesh(where, path, Path(path).read_bytes(), (x, y, z)))
+    vertices, triangles = mesh_triangles(geometry)
+    size = float(np.ptp(vertices, axis=0).max())
+    if not _SMALLEST <= size <= _LARGEST:
+        expected = f'{_SMALLEST:g} to {_LARGEST:g} m: a file in mm needs scale="0.001 0.001 0.001" in its <mesh>, one in m none'
+        raise ConfigurationError(where, f"{path}, {size:.4g} m large", expected)
     # a plate that is closed, but has no volume, can be checked as a surface only
-    body = _solid(geometry)
+    body = _solid(geometry) if is_convex(vertices, triangles) else None
     return geometry if body is None else body
 
 

@@ -1,4 +1,4 @@
-"""Triangles from STL and OBJ files, by trimesh: what Coal builds from them is safe only when every number is checked."""
+"""Triangles from STL, OBJ and GLB files, by trimesh: what Coal builds from them is safe only when every number is checked."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ def parse_mesh(
     """
     import trimesh  # loaded here: few scenes have a mesh  # noqa: PLC0415
 
-    kind = "obj" if path.lower().endswith(".obj") else "stl"
+    kind = ending if (ending := path.lower().rpartition(".")[2]) in ("obj", "glb") else "stl"
     try:
         if kind == "obj":
             contents = _absolute(contents)
-        else:
+        elif kind == "stl":
             _check_whole(contents)
         mesh = trimesh.load_mesh(io.BytesIO(contents), file_type=kind, process=False, skip_materials=True)
         vertices, triangles = np.array(mesh.vertices, dtype=float), np.array(mesh.faces, dtype=int)
         if vertices.shape[1:] != (3,):
             raise ValueError("vertices without three numbers")
     except Exception as error:  # whatever the reader meets in a file
-        raise SceneError(where, path, f"a well-formed STL or OBJ file ({error})") from error
+        raise SceneError(where, path, f"a well-formed {kind.upper()} file ({error})") from error
     if kind == "stl":
         # it repeats the corners of each triangle
         vertices, merged = np.unique(vertices, axis=0, return_inverse=True)

@@ -237,8 +237,8 @@ def test_meshes_of_nested_packages_are_collision_shapes(xacro, tmp_path):
     [
         ("package://kuka_kr210_support/none.stl", "a file; there is no {src}/kuka_experimental/kuka_kr210_support/none.stl"),
         ("package://kuka_other/link_1.stl", "one below a folder of ROS_PACKAGE_PATH ("),
-        ("meshes/link_1.stl", "package://<package>/<path>, file:///<path> or an absolute path"),
-        ("http://somewhere/link_1.stl", "package://<package>/<path>, file:///<path> or an absolute path"),
+        ("meshes/link_1.stl", "a file; there is no {src}/kuka_experimental/kuka_kr210_support/urdf/meshes/link_1.stl"),
+        ("http://somewhere/link_1.stl", "package://<package>/<path>, file:///<path> or a path relative to the URDF"),
     ],
 )  # fmt: skip
 def test_a_mesh_that_is_not_there_names_its_link(xacro, tmp_path, uri, expected):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import re
+
 import pytest
 import yaml
 from scene_samples import ur_like
@@ -88,3 +91,64 @@ def test_a_urdf_alone_makes_a_robot_with_estimates(tmp_path):
     assert robot.estimates == (*ESTIMATED, "home")
     with pytest.raises(ConfigurationError, match="tip link: found 'nowhere'"):
         robot_of_urdf(tmp_path / "arm.urdf", tip_link="nowhere")
+
+
+LIMIT = '<limit lower="-2.5" upper="2.5" effort="1" velocity="2"/>'
+
+
+def one_joint(folder, limit):
+    """Return the robot of a URDF of one joint."""
+    joint = f'<parent link="base_link"/><child link="tool0"/><axis xyz="0 0 1"/>{limit}'
+    (folder / "arm.urdf").write_text(
+        f'<robot name="arm"><link name="base_link"/><link name="tool0"/><joint name="j" type="revolute">{joint}</joint></robot>'
+    )
+    return robot_of_urdf(folder / "arm.urdf")
+
+
+@pytest.mark.parametrize(
+    "soft, ends",
+    [
+        ('soft_lower_limit="-1" soft_upper_limit="0.5"', (-1.0, 0.5)),
+        ('soft_lower_limit="-3" soft_upper_limit="1"', (-2.5, 1.0)),
+        # without soft limits it holds gains alone
+        ("", (-2.5, 2.5)),
+    ],
+)
+def test_soft_limits_of_the_safety_controller_are_the_range(tmp_path, caplog, soft, ends):
+    robot = one_joint(tmp_path, f'{LIMIT}<safety_controller k_velocity="1" {soft}/>')
+    assert (robot.lower, robot.upper) == ((ends[0],), (ends[1],))
+    assert robot.home == pytest.approx([sum(ends) / 2], abs=1e-5)
+    assert ("safety_controller are the range of j" in caplog.text) == bool(soft)
+
+
+@pytest.mark.parametrize(
+    "limit, sentence",
+    [
+        ('lower="-170" upper="170" effort="1"', "URDF joints: found 'j without velocity', expected effort="),
+        ('lower="-170" upper="170"', "j without effort and velocity"),
+        (
+            'lower="-2" upper="2" effort="1" velocity="0"',
+            "URDF joint j limit velocity: found 0.0, expected the full speed",
+        ),
+        ('lower="-170" upper="90.5" effort="1" velocity="2"', 'joint j limit: .*lower="-2.96706" upper="1.57952"'),
+    ],
+)
+def test_what_a_limit_lacks_is_named_with_what_to_write(tmp_path, limit, sentence):
+    with pytest.raises(ConfigurationError, match=sentence):
+        one_joint(tmp_path, f"<limit {limit}/>")
+
+
+@pytest.mark.parametrize(
+    "values, remark",
+    [
+        (("-10", "10", "2"), 'joint j limit: lower -10, upper 10 .*573 deg.*lower="-0.174533" upper="0.174533"'),
+        (("-2", "2", "120"), 'joint j limit: velocity 120 .*6875 deg/s.*velocity="2.0944"'),
+        # two turns, and a fast wrist
+        ((f"{-2 * math.pi}", "6.98", "21"), None),
+    ],
+)
+def test_degrees_are_suspected_aloud(tmp_path, caplog, values, remark):
+    lower, upper, velocity = values
+    robot = one_joint(tmp_path, f'<limit lower="{lower}" upper="{upper}" effort="1" velocity="{velocity}"/>')
+    assert robot.upper == (float(upper),)
+    assert re.search(remark, caplog.text) if remark else not caplog.text
