@@ -56,7 +56,7 @@ def test_a_mesh_of_the_scene_comes_with_the_file(tmp_path):
 
 
 def test_what_cannot_be_replayed_is_one_sentence(tmp_path, capsys):
-    good = json.loads(FILES[0].read_text())
+    good = json.loads(FILES[0].with_name("goal_in_the_floor.json").read_text())
     file = tmp_path / "failure.json"
     for text, problem in (
         ("no JSON", "Expecting value"),

@@ -88,7 +88,7 @@ def test_a_mesh_in_millimetres_is_refused_with_the_scale_that_it_lacks(tmp_path)
     with pytest.raises(ConfigurationError, match=r'link tool0 .*arm.stl, 950 m large.*scale="0.001 0.001 0.001"'):
         bodies_of(tmp_path, "arm.stl")
     (body,) = bodies_of(tmp_path, "arm.stl", 'scale="0.001 0.001 0.001"')
-    np.testing.assert_allclose(np.ptp(corners(body), axis=0)[0], SIZE, atol=1e-6)
+    np.testing.assert_allclose(np.ptp(corners(body), axis=0), SIZE, atol=1e-6)
 
 
 def test_a_mesh_in_metres_with_the_scale_of_millimetres_is_refused(tmp_path):
