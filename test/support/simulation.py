@@ -311,6 +311,7 @@ class SimulatedChain:
     def _answer(self, packet: bytes) -> None:
         """What the gateway makes of a packet, and its answer."""
         telegram = self._reader.parse(packet)
+        self.gateway.controller.datagram = packet
         tool = self.gateway.tool
         if tool is not None and self._reader.tool is not None:
             tool.on_reading(self._reader.tool(packet))

@@ -124,11 +124,14 @@ class Reader:
         parse: A datagram as telegram, or TelegramError.
         status: The status in a datagram, and the number of its channels that cannot be read; None: telegrams carry none.
         tool: A tool's signals in a datagram, None where they are not clear; None: no tool.
+        tool_pose: The measured pose of the controller's tool in its base, X, Y, Z [m], A, B, C [rad] (KUKA's), None where it is not
+            clear; None: telegrams carry none.
     """
 
     parse: Callable[[bytes], Telegram]
     status: Callable[[bytes], tuple[ControllerStatus, int]] | None = None
     tool: Callable[[bytes], ToolReading | None] | None = None
+    tool_pose: Callable[[bytes], tuple[float, ...] | None] | None = None
 
 
 class Encoder(Protocol):

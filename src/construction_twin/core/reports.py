@@ -83,6 +83,7 @@ class LinkReport:
     not_checked: tuple[str, ...] = ()
     gateway_kind: str = ""
     session: str = ""
+    tool_pose: str = ""
     state: int = 0
     stamp: int = 0
     commands_sent: int = 0

@@ -135,7 +135,7 @@ MOST_CHANGES = 500
 #: Words of states that are faults.
 FAULTS = {
     "HOLDING", "STALE", "STOPPED", "FAULT", "REFUSING", "REPLANNING", "HELD",
-    "DISCONNECTED", "GATEWAY_OFFLINE", "NO_CONTROLLER", "MISMATCH", "NEEDS_RESET",
+    "DISCONNECTED", "GATEWAY_OFFLINE", "NO_CONTROLLER", "MISMATCH", "OTHER_ARM", "NEEDS_RESET",
 }  # fmt: skip
 _HEADINGS = {
     "figure8.png": "Tool path (the paper's Figure 8)",

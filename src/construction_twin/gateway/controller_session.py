@@ -91,6 +91,7 @@ class ControllerSession:
         self.status = self._no_status = config.make.no_status
         self._limits, self._tolerances = config.limits, config.start_tolerances
         self._rules, self._terms = config.make.rules(config), config.make.terms
+        self._reader = config.make.reader(config)
         self._counters = counters
         self._timeout = round(config.timeout * NANOSECONDS)
         self._timeout_ms = round(config.timeout * 1000)
@@ -100,6 +101,8 @@ class ControllerSession:
         self.origin: tuple[float, ...] = ()
         #: Measured pose of the last telegram that had one; () for none.
         self.measured: tuple[float, ...] = ()
+        #: The newest telegram, for `tool_pose`; b"" for none.
+        self.datagram = b""
         self.received_at = 0
         self.stamp = 0
         self.begin_reason = ""
@@ -164,6 +167,7 @@ class ControllerSession:
         """End the session."""
         self.alive = False
         self.origin = self.measured = ()
+        self.datagram = b""
         self.status = self._no_status
 
     @property
@@ -176,6 +180,14 @@ class ControllerSession:
         self.status = status
         if unreadable:
             self._counters["status_channels_unreadable"] += unreadable
+
+    def tool_pose(self) -> dict[str, tuple[float, ...]] | None:
+        """Return the newest telegram's tool pose and the axes of the same one, for `status`; None where it has none."""
+        # read here, once a second, and not where a reply waits
+        read = self._reader.tool_pose
+        pose = read(self.datagram) if read is not None else None
+        axes = self._reader.parse(self.datagram).measured if pose else None
+        return {"axes": axes, "position": pose[:3], "abc": pose[3:]} if pose and axes else None
 
     def store_measured(self, telegram: Telegram) -> None:
         """Store the measured pose of a telegram, where it has one."""

@@ -74,6 +74,7 @@ class TelegramInbox:
                     continue
                 counters["telegrams_skipped"] += 1
             newest = Arrival(telegram, source, arrived)
+            self._gateway.controller.datagram = data
             if self._tool is not None and self._gateway.tool is not None:
                 self._gateway.tool.on_reading(self._tool(data))
         return newest

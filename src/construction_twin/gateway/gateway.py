@@ -312,6 +312,8 @@ class Gateway(ArmControl):
             "later_refusal": self.refusals.later,
             "counters": dict(self.counters) | self.side_effects.counts("failed_beside"),
         }
+        if pose := controller.tool_pose():
+            status["tool_pose"] = pose
         if self.tool is not None:
             status["tool"] = self.tool.status_fields(self.reason if self.state is State.FAILED else "")
         return json_value(status)

@@ -5,6 +5,7 @@ Poses are ``base_T_tip`` [m]; joint values [rad], or [m] for a prismatic joint, 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -82,13 +83,15 @@ class Chain:
 
     def skeleton(self, q: JointValues) -> np.ndarray:
         """Return the line from the base's origin through all link origins to the tip, shape (m, 3) [m], for drawing the arm."""
+        return np.array([list(frame.p) for frame in self.frames(q)])
+
+    def frames(self, q: JointValues) -> list[PyKDL.Frame]:
+        """Return the frames of the base and of the links from it to the tip."""
         self._fill(q)
-        frame = PyKDL.Frame()
-        points = []
-        for number in range(self.kdl.getNrOfSegments() + 1):
+        frames = [PyKDL.Frame() for _ in range(self.kdl.getNrOfSegments() + 1)]
+        for number, frame in enumerate(frames):
             self._fk.JntToCart(self._q, frame, number)
-            points.append((frame[0, 3], frame[1, 3], frame[2, 3]))
-        return np.array(points)
+        return frames
 
     def _fill(self, q: JointValues) -> None:
         if len(q) != self._count:
@@ -112,6 +115,12 @@ def to_kdl(joints: Sequence[Joint]) -> PyKDL.Chain:
             kdl_joint = PyKDL.Joint(joint.name, parent_T_joint.p, axis, kind)
         chain.addSegment(PyKDL.Segment(joint.child, kdl_joint, parent_T_joint))
     return chain
+
+
+def pendant_frame(values: Sequence[float]) -> PyKDL.Frame:
+    """Return the frame of X, Y, Z [mm] and A, B, C [deg], as KUKA's pendant shows them."""
+    turn = PyKDL.Rotation.EulerZYX(*map(math.radians, values[3:]))
+    return PyKDL.Frame(turn, PyKDL.Vector(*values[:3]) / 1e3)
 
 
 def to_frame(pose: Pose) -> PyKDL.Frame:

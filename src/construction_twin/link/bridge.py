@@ -5,6 +5,7 @@ Pure: events in; messages, reports and answers out. Times are arguments [ns].
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
@@ -17,7 +18,7 @@ from construction_twin.core.travel_time import TravelTime
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.gateway_status import GatewayAnswer, GatewayStatus, cut, without_counts
-from construction_twin.link.observations import SHOWN_AFTER, LinkState
+from construction_twin.link.observations import SHOWN_AFTER, ArmCheck, LinkState
 from construction_twin.link.supervisor import BareSupervisor, LinkSupervisor
 from construction_twin.link.tool_link import ToolLink
 from construction_twin.mqtt.joint_string import JointStringCodec
@@ -181,6 +182,7 @@ class Bridge:
     Args:
         timeout: Longest wait of a person's request for the link to be armed [s].
         waits: `waits_for` of the process before this one.
+        arm: Compares the arm with its model.
 
     Attributes:
         played: Id of the plan that the executor plays, or has played last: only its switches are armed.
@@ -195,8 +197,9 @@ class Bridge:
         strings: JointStrings,
         new_id: Callable[[], str],
         waits: str = "",
+        arm: ArmCheck | None = None,
     ):
-        self.supervisor = BareSupervisor(config, new_id) if bare else LinkSupervisor(config, new_id, waits)
+        self.supervisor = BareSupervisor(config, new_id) if bare else LinkSupervisor(config, new_id, waits, arm)
         self.played = ""
         self._strings, self._timeout, self._new_id = strings, timeout, new_id
         self._tool = ToolLink(new_id)
@@ -400,6 +403,7 @@ class Bridge:
             not_checked=tuple(supervisor.not_checked),
             gateway_kind=supervisor.kind,
             session=supervisor.session,
+            tool_pose=supervisor.inputs.arm.text,
             state=supervisor.state.value,
             stamp=stamp,
             commands_sent=self._strings.sent,
@@ -413,6 +417,10 @@ class Bridge:
         values: dict[str, object] = {"session": supervisor.session}
         values |= {"commands sent": strings.sent, "states received": strings.received}
         values |= {f"gateway {key}": value for key, value in sorted(self._gateway_values.items())}
+        if arm := supervisor.inputs.arm.text:
+            values["tool pose"] = arm
+        if difference := supervisor.inputs.arm.difference:
+            values |= {"tool pose off [mm]": difference[0] * 1e3, "tool pose off [deg]": math.degrees(difference[1])}
         if supervisor.not_checked:
             values["responsible"] = supervisor.responsible or "no person: not armed"
             parts = [sentence.partition(": ") for sentence in supervisor.not_checked]

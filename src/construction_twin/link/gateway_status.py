@@ -71,6 +71,14 @@ class _Tool(_Part):
     reason: _Text
 
 
+class ToolPose(_Part):
+    """Where a controller says that its tool is, and the axes of the same telegram: [rad], [m], KUKA's A, B, C."""
+
+    axes: _PerAxis
+    position: Annotated[list[_Number], Field(min_length=3, max_length=3)]
+    abc: Annotated[list[_Number], Field(min_length=3, max_length=3)]
+
+
 class GatewayStatus(_Part):
     """The fields that are read of a status; a bare PLC has `kind` and `state` alone."""
 
@@ -89,6 +97,8 @@ class GatewayStatus(_Part):
     counters: dict[str, _Count] = {}
     reply_us: _Histogram = _Histogram()
     tool: _Tool = Field(default=None)  # type: ignore[assignment]  # there is none, or one that is whole
+    #: None: telegrams carry none, or there are none.
+    tool_pose: ToolPose | None = None
     mode: _Shown = None
     last_refusal: _Shown = None
     later_refusal: _Shown = None

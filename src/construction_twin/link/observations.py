@@ -5,13 +5,14 @@ Pure: time is an argument [ns]. Angles in rad (axis space).
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from enum import Enum
 
 from construction_twin.core.limits import outside_tolerance
-from construction_twin.core.sentences import Sentence
+from construction_twin.core.sentences import Quantity, Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
-from construction_twin.link.gateway_status import NO_STATUS, GatewayStatus
+from construction_twin.link.gateway_status import NO_STATUS, GatewayStatus, ToolPose
 from construction_twin.mqtt.messages import OFFLINE, PLC, PROTOCOL, protocol_mismatch
 
 #: A pose or command older than this is not used for a decision [ns].
@@ -38,6 +39,7 @@ class LinkState(Enum):
     ARMED = 5
     NEEDS_RESET = 6
     MIRROR = 7
+    OTHER_ARM = 8
 
 
 #: States without broker, gateway or arm.
@@ -101,16 +103,67 @@ class ArmAndStream:
         return outside_tolerance(self._command, self._pose, self._tolerances) is None
 
 
+#: From axes, the tool that is reported there, and whether there is time to look for a cause, to how far the tool is off [m], [rad],
+#: and why that is too far ("": it is not).
+Compare = Callable[[Sequence[float], Sequence[float], bool], tuple[float, float, str]]
+
+
+class ArmCheck:
+    """Whether the arm is its model's: the tool that the controller reports, compared at rest.
+
+    Args:
+        compare: None: nothing is compared, because `skipped`.
+        refuses: False: another arm than the model's is armed all the same.
+
+    Attributes:
+        text: The comparison for people; "" before the first.
+        problem: Why it is another arm; "": nothing is known against it.
+        difference: The tool's [m], [rad]; () before the first comparison.
+    """
+
+    def __init__(self, compare: Compare | None = None, skipped: str = "", refuses: bool = True):
+        self._do, self._refuses = compare, refuses
+        self.text, self.problem = skipped, ""
+        self.difference: tuple[float, ...] = ()
+        self._compared: ToolPose | None = None
+
+    @property
+    def refusal(self) -> str:
+        """Why the arm must not be armed; "": it may."""
+        return self.problem if self._refuses else ""
+
+    def compare(self, status: GatewayStatus, at_rest: bool, explains: bool) -> None:
+        """Compare what a status has of the tool, once; `explains`: no commands flow, so there is time to look for a cause."""
+        pose = status.tool_pose
+        if self._do is None or status.state == OFFLINE:
+            return
+        if pose is None:
+            self.problem, self.difference = "", ()
+            known = status.state not in _NO_SESSION
+            self.text = Sentence("not compared: the controller does not send where its tool is") if known else ""
+        elif at_rest and pose is not self._compared:
+            self._compared = pose
+            distance, angle, problem = self._do(pose.axes, (*pose.position, *pose.abc), explains)
+            # a cause that was found is kept while commands flow
+            if explains or not problem or not self.problem:
+                self.problem = problem
+            self.difference = distance, angle
+            values = {"distance": Quantity(distance, "m"), "angle": Quantity(angle, "rad")}
+            self.text = self.problem or Sentence("{distance:.3} and {angle:.3} off the model's", **values)
+
+
 class LinkObservations(ArmAndStream):
     """The newest inputs of the link's decisions.
 
     Attributes:
+        arm: Whether the arm is its model's.
         status: The gateway's last one; `NO_STATUS` while there is no connection.
         offline_received: Whether `offline` came since this was set to False: a bare PLC has stopped, however soon `ready` follows.
     """
 
-    def __init__(self, config: GatewayConfig, bare: bool = False):
+    def __init__(self, config: GatewayConfig, bare: bool = False, arm: ArmCheck | None = None):
         super().__init__(config)
+        self.arm = arm or ArmCheck()
         self._hash, self._bare = config.hash, bare
         self.status, self._status_at = NO_STATUS, 0
         self.offline_received = self._connected = False
@@ -199,6 +252,13 @@ class LinkObservations(ArmAndStream):
     def follows_another(self, session: str) -> bool:
         """Return whether the gateway is armed for another session than this one, or follows it."""
         return self.status.is_armed and self.status.session != session
+
+    def compare_arm(self, now: int, explains: bool) -> None:
+        """Compare where the controller has its tool with the model, if the arm rests."""
+        pose = self.status.tool_pose
+        # a gateway of another arm is another configuration
+        if pose is None or len(pose.axes) == len(self._tolerances):
+            self.arm.compare(self.status, self.at_rest(now), explains)
 
     # -- what is missing
 

@@ -14,7 +14,7 @@ from construction_twin.core.sentences import Sentence
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.gateway_status import GatewayAnswer
-from construction_twin.link.observations import ABSENT, LinkObservations, LinkState
+from construction_twin.link.observations import ABSENT, ArmCheck, LinkObservations, LinkState
 from construction_twin.mqtt.messages import PLC, RSI, Control, arm_value, reset_value
 
 #: Pause before an unanswered control message is sent again [ns].
@@ -29,6 +29,7 @@ class LinkSupervisor:
 
     Args:
         waits: `waits_for` of the process before this one: then nothing is armed before a person resets.
+        arm: Compares the arm with its model.
 
     Attributes:
         session: "" before the first.
@@ -41,10 +42,10 @@ class LinkSupervisor:
     kind, sends_control = RSI, True
     not_checked: tuple[str, ...] = ()
 
-    def __init__(self, config: GatewayConfig, new_id: Callable[[], str], waits: str = ""):
+    def __init__(self, config: GatewayConfig, new_id: Callable[[], str], waits: str = "", arm: ArmCheck | None = None):
         self._hash = config.hash
         self._new_id = new_id
-        self.inputs = LinkObservations(config, self.kind == PLC)
+        self.inputs = LinkObservations(config, self.kind == PLC, arm)
         self.state = LinkState.DISCONNECTED
         self.reason: str = Sentence("not connected to the broker yet")
         self.session = self.responsible = ""
@@ -146,7 +147,7 @@ class LinkSupervisor:
 
     def _session_obstacle(self, now: int, mirrors: bool = False) -> str:
         """Return the obstacle to a session, or in mirror mode to following; "" for none."""
-        if missing := self.inputs.obstacle(now, mirrors):
+        if missing := self._obstacle(now, mirrors):
             return missing[1]
         if self.inputs.status.has_failed:
             return _gateway_sentence(self.inputs)
@@ -207,7 +208,9 @@ class LinkSupervisor:
 
     def poll(self, now: int) -> Control | None:
         """Update the state; return a control message to send now, or None."""
-        if missing := self.inputs.obstacle(now, self.mirrors):
+        commands = self.state is LinkState.ARMED
+        self.inputs.compare_arm(now, not commands)
+        if missing := self.inputs.obstacle(now, self.mirrors) if commands else self._obstacle(now, self.mirrors):
             self._pending, self._reset_wanted = None, False
             self._enter(*missing)
             return None
@@ -223,6 +226,11 @@ class LinkSupervisor:
 
     def _enter(self, state: LinkState, reason: str) -> None:
         self.state, self.reason = state, reason
+
+    def _obstacle(self, now: int, mirrors: bool) -> tuple[LinkState, str] | None:
+        """Return what stands against arming: what is missing, or that this is another arm."""
+        another = not mirrors and self.inputs.arm.refusal
+        return self.inputs.obstacle(now, mirrors) or ((LinkState.OTHER_ARM, another) if another else None)
 
     def _update_state(self, now: int) -> None:
         """Choose the side that commands, with broker, gateway and arm there."""

@@ -9,8 +9,10 @@ import math
 import signal
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
+from xml.etree import ElementTree
 
 import pydantic
 
@@ -35,7 +37,9 @@ log = logging.getLogger(__name__)
 
 #: The file of the default make.
 _SHIPPED = share_file("krl/ethernet/ctwin_ethernet.xml")
-_Numbers = list[Annotated[float, pydantic.Field(allow_inf_nan=False)]]
+_Number = Annotated[float, pydantic.Field(allow_inf_nan=False)]
+_Numbers = list[_Number]
+_Frame = Annotated[_Numbers, pydantic.Field(min_length=6, max_length=6)]
 
 #: servo ideal: cycles from the packet whose reply carries a setpoint to the packet that reports it as reached.
 SERVO_DELAY_CYCLES = 3
@@ -43,6 +47,17 @@ SERVO_DELAY_CYCLES = 3
 SERVO_OMEGA, SERVO_ZETA, RESOLUTION = 60.0, 0.8, math.radians(3e-5)
 #: The simulated gripper: from its outputs to the inputs that confirm them [s].
 TOOL_TIME = 0.2
+
+
+class AnotherArm(pydantic.BaseModel):
+    """How the mock's arm differs from the model: what an operator may get wrong; it moves `RIst` alone."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    tool: _Frame = [0.0] * 6
+    base: _Frame = [0.0] * 6
+    reversed: str = ""
+    longer: dict[str, _Number] = {}
 
 
 class MockSettings(pydantic.BaseModel):
@@ -65,6 +80,7 @@ class MockSettings(pydantic.BaseModel):
     servo: Literal["ideal", "realistic", "physics"] = "ideal"
     drives: str = ""
     payload: _Numbers = []
+    another_arm: AnotherArm = AnotherArm()
     fault_seed: Annotated[int, pydantic.Field(ge=0)] = 0
     restart_after: Annotated[float, pydantic.Field(ge=0)] = 0.0
     tool: dict = {}
@@ -98,7 +114,7 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
         timeout=settings.timeout,
         gripper=_gripper(settings),
     )
-    return MockController(config, build_servo(settings, robot), build_forward_kinematics(robot))
+    return MockController(config, build_servo(settings, robot), build_forward_kinematics(robot, settings.another_arm))
 
 
 def _gripper(settings: MockSettings) -> Gripper:
@@ -135,18 +151,42 @@ def build_servo(settings: MockSettings, robot: RobotModel) -> Servo:
     return RealisticServo(SERVO_OMEGA, SERVO_ZETA, RESOLUTION, period)
 
 
-def build_forward_kinematics(robot: RobotModel) -> ForwardKinematics:
-    """Return the function from axis values [rad], [m] to position [m] and A, B, C [rad] of `tip_link` in `base_link`."""
-    from construction_twin.kinematics.chain import Chain  # needs PyKDL, which the pure core and its users do not
+def build_forward_kinematics(robot: RobotModel, another: AnotherArm = AnotherArm()) -> ForwardKinematics:
+    """Return the function from axis values [rad], [m] to position [m] and A, B, C [rad] of the tool in the base."""
+    from construction_twin.kinematics.chain import (
+        Chain,
+        pendant_frame,
+    )  # need PyKDL, which the pure core and its users do not
     from construction_twin.robot.frames import rotation_to_abc
 
+    if another.longer or another.reversed:
+        robot = _another_robot(robot, another)
     chain = Chain(robot)
+    tool, base = pendant_frame(another.tool), pendant_frame(another.base).Inverse()
 
     def forward(angles: tuple[float, ...]):
-        frame = chain.frame(joint_angles(robot, angles))
+        frame = base * chain.frame(joint_angles(robot, angles)) * tool
         return (frame[0, 3], frame[1, 3], frame[2, 3]), rotation_to_abc(frame)
 
     return forward
+
+
+def _another_robot(robot: RobotModel, another: AnotherArm) -> RobotModel:
+    """Return the robot with an axis reversed, and joints' origins further from the joints before [mm]."""
+    names = ["", *(axis.name for axis in robot.axes)]
+    if another.reversed not in names:
+        raise ConfigurationError("another_arm/reversed", another.reversed, f"one of {', '.join(names[1:])}")
+    axes = tuple(replace(axis, sign=-axis.sign) if axis.name == another.reversed else axis for axis in robot.axes)
+    urdf = ElementTree.fromstring(robot.urdf)
+    for name, longer in another.longer.items():
+        origin = urdf.find(f"joint[@name='{name}']/origin")
+        if origin is None:
+            raise ConfigurationError("another_arm/longer", name, "a joint of the URDF with an origin")
+        xyz = [float(value) for value in origin.get("xyz", "0 0 0").split()]
+        largest = max(range(3), key=lambda index: abs(xyz[index]))
+        xyz[largest] += math.copysign(longer / 1e3, xyz[largest])
+        origin.set("xyz", " ".join(map(str, xyz)))
+    return replace(robot, axes=axes, urdf=ElementTree.tostring(urdf, "unicode"))
 
 
 def joint_angles(robot: RobotModel, angles: tuple[float, ...]) -> tuple[float, ...]:

@@ -31,6 +31,13 @@ def rotation_to_abc(rotation) -> tuple[float, float, float]:
     return a, b, c
 
 
+def pendant_text(frame) -> str:
+    """Return a pose, read by ``[row, column]`` [m], as KUKA's pendant shows it [mm], [deg]."""
+    values = [*(frame[row, 3] * 1e3 for row in range(3)), *map(math.degrees, rotation_to_abc(frame))]
+    # without a minus before what is shown as zero
+    return " ".join(f"{name} {round(value, 3) + 0.0:.3f}" for name, value in zip("XYZABC", values))
+
+
 def abc_to_rotation(a: float, b: float, c: float) -> np.ndarray:
     """Convert KUKA's A, B, C [rad] to a rotation matrix, shape (3, 3): ``Rz(A) Ry(B) Rx(C)``."""
     sin_a, cos_a = math.sin(a), math.cos(a)

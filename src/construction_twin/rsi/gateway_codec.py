@@ -5,6 +5,7 @@ The border where degrees and millimetres end. Telegrams are checked completely o
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from functools import partial
@@ -41,6 +42,20 @@ _ATTRIBUTE = re.compile(rb"\s([A-Za-z]\w*)=$").search
 CORRECTION_DECIMALS = 6
 #: Telegrams between two attempts to learn a shape: an attempt costs as much as reading one.
 RELEARN_AFTER = 250
+
+
+_POSE = re.compile(rb"<RIst\s([^<>]*)/?>").findall
+_VALUES = re.compile(rb"""\b([XYZABC])\s*=\s*["']([^"'<>]{1,48})["']""").findall
+
+
+def read_tool_pose(data: bytes) -> tuple[float, ...] | None:
+    """Return `RIst` of a checked telegram, X, Y, Z [m], A, B, C [rad]; None where it is not there once with six numbers."""
+    found = _POSE(data)
+    values = dict(_VALUES(found[0])) if len(found) == 1 else {}
+    texts = [values.get(name, b"") for name in (b"X", b"Y", b"Z", b"A", b"B", b"C")]
+    if not all(map(is_number_in_bytes, texts)):
+        return None
+    return (*[float(text) / 1e3 for text in texts[:3]], *[math.radians(float(text)) for text in texts[3:]])
 
 
 def split_values(data: bytes) -> tuple[list[bytes], list[bytes], bytes]:

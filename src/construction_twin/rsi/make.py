@@ -31,7 +31,7 @@ from construction_twin.rsi.ethernet_xml import (
     read_ethernet_xml,
     tool_channels,
 )
-from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
+from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder, read_tool_pose
 from construction_twin.rsi.layout import EXTERNAL_AXES, STOP, RsiLayout, default_element
 from construction_twin.rsi.status_channels import RsiStatus, StatusReader, status_channels
 from construction_twin.rsi.tool_channels import IN, OUT, SET, ToolReader, names_of
@@ -216,6 +216,7 @@ def reader(setup: Setup[RsiLayout]) -> Reader:
         RobotDecoder(setup.axes, setup.units).parse,
         StatusReader(channels).read if channels else None,
         ToolReader([output.name for output in tool.outputs], tool.inputs).read if tool else None,
+        read_tool_pose if "RIst" in setup.layout.send else None,
     )
 
 

@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.kinematics.chain import Pose
+from construction_twin.kinematics.chain import Pose, pendant_frame, to_pose
 from construction_twin.robot.description import RobotModel
-from construction_twin.robot.frames import abc_to_rotation
 
 #: A goal whose X, Y and Z are all below this lies inside of the robot's foot; in metres it is a place like any other [mm].
 NEAR_MM = 10.0
@@ -31,7 +28,7 @@ def pose_goal(values: Sequence[float], frame: str = "") -> Pose:
 
     ConfigurationError where it is so near to base or world that metres were probably meant: they are never converted.
     """
-    x, y, z, *angles = values
+    x, y, z = values[:3]
     # in a frame on the tool or on an element a few mm are a goal like any other
     if frame.rpartition("/")[2] in _STANDING and 0.0 < max(abs(x), abs(y), abs(z)) < NEAR_MM:
         given = f"{x:g} {y:g} {z:g}"
@@ -40,4 +37,4 @@ def pose_goal(values: Sequence[float], frame: str = "") -> Pose:
             f"of {frame or 'its base'}, and probably in metres. If so, give {x * 1e3:g} {y * 1e3:g} {z * 1e3:g}"
         )
         raise ConfigurationError("--pose", given, expected)
-    return Pose(np.array((x, y, z)) / 1e3, abc_to_rotation(*map(math.radians, angles)))
+    return to_pose(pendant_frame(values))

@@ -93,6 +93,10 @@ def _wait_reason(kind: str, at: Deployment) -> WaitReason:
             TECHNICIAN, Sentence("the gateway's configuration"),
             Sentence("export it again, copy it, restart the gateway"),
         ),
+        "other_arm": WaitReason(
+            TECHNICIAN, Sentence("an arm that is the model's"),
+            Sentence("compare $TOOL, $BASE and the axes with the pendant (docs/troubleshooting.md)"),
+        ),
         "plc": WaitReason(
             OPERATOR, Sentence("the PLC"),
             Sentence("start it; it says `ready` on its `status` topic, retained"),
@@ -272,6 +276,8 @@ def _link(inputs: StartupInputs, deployment: Deployment) -> _Found:
         return "gateway_here" if deployment.gateway else "gateway_there", reason
     if state == "MISMATCH":
         return "configuration", reason
+    if state == "OTHER_ARM":
+        return "other_arm", reason
     if state == "NO_CONTROLLER":
         if word.gateway == "other_cycle" and _NOT_IN_REAL_TIME in reason:
             return "no_clock", reason

@@ -67,8 +67,11 @@ def joint_value(value: float, linear: bool, decimals: int = 3) -> str:
     return f"{value * 1e3:.{decimals}f} mm" if linear else f"{math.degrees(value):.{decimals}f} deg"
 
 
-def plan_lines(plan: Plan, linear: Sequence[bool], changes: Sequence[SceneChange] = ()) -> list[str]:
-    """Return the lines about a plan that a reviewer needs; `changes`: what a work plan's segments do to the scene."""
+def plan_lines(plan: Plan, linear: Sequence[bool], changes: Sequence[SceneChange] = (), tool: str = "") -> list[str]:
+    """Return the lines about a plan that a reviewer needs; `changes`: what a work plan's segments do to the scene.
+
+    `tool`: the tip's pose at the goal, as the pendant shows it.
+    """
     trajectory = plan.trajectory
     names = trajectory.joint_names
     values = map(joint_value, trajectory.positions[-1], linear)
@@ -81,6 +84,7 @@ def plan_lines(plan: Plan, linear: Sequence[bool], changes: Sequence[SceneChange
         f"clearance  {_closest(plan)}",
         f"limits     {_fractions(plan)}",
         f"goal       {goal}",
+        *([f"tool       {tool} [mm, deg]"] if tool else []),
         *segment_lines(plan, changes),
     ]
 
@@ -191,6 +195,8 @@ def watch_lines(snapshot: Snapshot) -> list[str]:
             mark = "" if abs(error) <= most else "  <"
             lines.append(f"{joint:10} {joint_value(error, linear, 4)} of {joint_value(most, linear, 4)}{mark}")
     if snapshot.link is not None:
+        if snapshot.link.tool_pose:
+            lines.append(f"tool pose  {snapshot.link.tool_pose}")
         counters = snapshot.link.gateway_counters
         # the gateway lists a counter from its first use on
         lines.append("; ".join(f"{name.replace('_', ' ')} {counters.get(name, '0')}" for name in LATE))

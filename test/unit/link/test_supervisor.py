@@ -284,5 +284,5 @@ def test_halt_leads_from_everywhere_to_where_only_a_person_leads_on(armed, state
 def test_values_are_those_of_the_message():
     assert [(state.name, state.value) for state in LinkState] == [
         ("DISCONNECTED", 0), ("GATEWAY_OFFLINE", 1), ("NO_CONTROLLER", 2), ("MISMATCH", 3), ("RESYNC", 4),
-        ("ARMED", 5), ("NEEDS_RESET", 6), ("MIRROR", 7),
+        ("ARMED", 5), ("NEEDS_RESET", 6), ("MIRROR", 7), ("OTHER_ARM", 8),
     ]  # fmt: skip

@@ -136,6 +136,7 @@ def test_a_bridge_that_is_started_again_reads_what_the_one_before_it_waited_for(
     monkeypatch.setattr(mqtt_bridge, "config_of_link", lambda *_: CONFIG)
     monkeypatch.setattr(mqtt_bridge, "make_client", lambda *_, **__: bench.client)
     monkeypatch.setattr(mqtt_bridge, "connect", lambda *_, **__: None)
+    monkeypatch.setattr(mqtt_bridge, "arm_check", lambda *_: None)
     node_io = open_node_io(bench.diagnostics, waits="not armed within 5 s; call reset")
     axes = [SimpleNamespace(name=name, sign=1, offset=0.0) for name in CONFIG.axes]
     robot = SimpleNamespace(name="arm", joint_names=CONFIG.axes, axes=axes, linear=(False,) * 2)

@@ -243,7 +243,12 @@ class Command:
                 listener.wait(partial(listener.newest, name), patience / 2 if name == "review" else patience)
 
     def _print_plan(self, plan: Plan, listener: RobotListener, with_names: Callable[[str], str] = str) -> None:
-        lines = plan_lines(plan, self._robot().linear, listener.changes(plan.id))
+        from construction_twin.kinematics.chain import Chain
+        from construction_twin.robot.frames import pendant_text
+
+        robot = self._robot()
+        tool = pendant_text(Chain(robot).frame(plan.trajectory.positions[-1]))
+        lines = plan_lines(plan, robot.linear, listener.changes(plan.id), tool)
         if plan.source.startswith(f"{BY_ACTION} "):
             lines.append(self._caller_line(plan, listener))
         print("\n".join(map(with_names, lines)))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 import uuid
 from collections.abc import Callable
-from typing import Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 import pydantic
 import rospy
@@ -20,9 +21,11 @@ from construction_twin.core.reports import SessionRequest
 from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.core.side_effects import SideEffects
 from construction_twin.gateway.config import GatewayConfig
+from construction_twin.kinematics.arm_identity import ArmIdentity
+from construction_twin.kinematics.chain import pendant_frame
 from construction_twin.link.bridge import PLC_HALTED, Bridge, JointStrings, PendingRequest
 from construction_twin.link.gateway_status import parse_answer, parse_status
-from construction_twin.link.observations import LinkState
+from construction_twin.link.observations import ArmCheck, LinkState
 from construction_twin.mqtt.client import Broker, make_client, unique_id
 from construction_twin.mqtt.fast_client import FastClient
 from construction_twin.mqtt.joint_string import JointStringCodec
@@ -47,6 +50,8 @@ POLL, LOG_PERIOD = 0.02, 0.05
 WAITS = "waits_for_person"
 
 _Read = TypeVar("_Read")
+_Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
+_Frame = Annotated[list[_Finite], pydantic.Field(min_length=6, max_length=6)]
 
 
 class Settings(MqttSettings):
@@ -55,8 +60,13 @@ class Settings(MqttSettings):
     arm: Literal["mock", "real"]
     gateway_kind: Literal["rsi", "plc"] = "rsi"
     anonymous_broker_is_meant: bool = False
+    pose_mismatch_is_meant: bool = False
     reset_timeout: float = pydantic.Field(gt=0)
     max_state_age: float = pydantic.Field(gt=0)
+    tool_frame: _Frame = [0.0] * 6
+    base_frame: _Frame = [0.0] * 6
+    most_pose_mm: float = pydantic.Field(5.0, gt=0)
+    most_pose_deg: float = pydantic.Field(0.5, gt=0)
 
 
 class MqttBridge:
@@ -71,13 +81,14 @@ class MqttBridge:
         broker: Broker,
         client: FastClient,
         node_io: shell.NodeIO,
+        arm: ArmCheck | None = None,
     ):
         bare, new_id = settings.gateway_kind == PLC, lambda: uuid.uuid4().hex
         self._strings = JointStrings(codec, config.properties, bare, settings.max_state_age)
         # not a private parameter: those hold settings, and this came about while a bridge ran
         waits = str(node_io.parameters[WAITS])
         self._saved_waits = SavedParameter(waits, node_io.parameter_writer(WAITS), WAITS)
-        self._bridge = Bridge(config, bare, settings.reset_timeout, self._strings, new_id, waits)
+        self._bridge = Bridge(config, bare, settings.reset_timeout, self._strings, new_id, waits, arm)
         self._supervisor = self._bridge.supervisor
         self._lock = threading.Lock()
         # orders what is published on `tool`: it comes from several threads
@@ -311,9 +322,26 @@ class MqttBridge:
             state = self._supervisor.state
             sentence = f"{state.name}: {self._bridge.reason(self._connection.sentence)}"
             values = self._bridge.values() | self._side_effects.status_fields()
-        if problem := self._saved_waits.fault or self._side_effects.sentence:
+            another = self._supervisor.inputs.arm.problem
+        # where it is not armed for that, the sentence says so already
+        another = another if state is not LinkState.OTHER_ARM else ""
+        if problem := self._saved_waits.fault or self._side_effects.sentence or another:
             return Diagnosis(WARN, f"{sentence}; {problem}", values)
         return Diagnosis(OK if state in (LinkState.ARMED, LinkState.MIRROR) else WARN, sentence, values)
+
+
+def arm_check(settings: Settings, robot: RobotModel) -> ArmCheck:
+    """Return what compares the arm with its model."""
+    external = [axis.name for axis in robot.axes if axis.name.startswith("E")]
+    if external:
+        skipped = Sentence(
+            "not compared: whether the controller's tool moves with {axis} depends on its kinematic chain ($ROBROOT)",
+            axis=external[0],
+        )
+        return ArmCheck(skipped=skipped)
+    most = settings.most_pose_mm / 1e3, math.radians(settings.most_pose_deg)
+    model = ArmIdentity(robot, pendant_frame(settings.tool_frame), pendant_frame(settings.base_frame), *most)
+    return ArmCheck(model.compare, refuses=not settings.pose_mismatch_is_meant)
 
 
 def start(settings: Settings, robot: RobotModel, node_io: shell.NodeIO) -> MqttBridge:
@@ -321,7 +349,8 @@ def start(settings: Settings, robot: RobotModel, node_io: shell.NodeIO) -> MqttB
     config = config_of_link(robot, node_io.parameters["gateway"], settings.gateway_kind != PLC)
     broker, topics = broker_of(settings), Topics(settings.prefix, robot.name)
     client = make_client(broker, unique_id(robot.name, "bridge"), topics.bridge_status, direct=True)
-    bridge = MqttBridge(settings, topics, config, JointStringCodec.of(robot, config.decimals), broker, client, node_io)
+    codec, arm = JointStringCodec.of(robot, config.decimals), arm_check(settings, robot)
+    bridge = MqttBridge(settings, topics, config, codec, broker, client, node_io, arm)
     bridge.connect()
     return bridge
 

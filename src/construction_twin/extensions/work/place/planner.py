@@ -335,12 +335,13 @@ class _Attempt:
             if tried >= PAIRS or (tried and search.is_out_of_time):
                 break
             stock = stock_of(one)
-            found = stock if isinstance(stock, AttemptFailed) else goal_of(other)
+            found: _Goal | TaskMotions | AttemptFailed = stock if isinstance(stock, AttemptFailed) else goal_of(other)
             if isinstance(found, _Goal):
                 tried += 1
                 found = _attempted(self._joined, stock, found)
             if isinstance(found, TaskMotions):
                 return found
+            assert not isinstance(found, _Goal)
             furthest = _furthest(furthest, found)
         assert furthest is not None
         raise furthest
