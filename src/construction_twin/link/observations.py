@@ -103,6 +103,8 @@ class ArmAndStream:
         return outside_tolerance(self._command, self._pose, self._tolerances) is None
 
 
+#: At axes that differ by so much the tool is elsewhere, to the last digit that is sent [rad], [m].
+_ELSEWHERE = 0.01
 #: From axes, the tool that is reported there, and whether there is time to look for a cause, to how far the tool is off [m], [rad],
 #: and why that is too far ("": it is not).
 Compare = Callable[[Sequence[float], Sequence[float], bool], tuple[float, float, str]]
@@ -141,6 +143,9 @@ class ArmCheck:
             self.problem, self.difference = "", ()
             known = status.state not in _NO_SESSION
             self.text = Sentence("not compared: the controller does not send where its tool is") if known else ""
+        elif at_rest and self._is_constant(pose):
+            self.problem, self.difference = "", ()
+            self.text = Sentence("not compared: the controller sends one tool pose whatever its axes are")
         elif at_rest and pose is not self._compared:
             self._compared = pose
             distance, angle, problem = self._do(pose.axes, (*pose.position, *pose.abc), explains)
@@ -150,6 +155,15 @@ class ArmCheck:
             self.difference = distance, angle
             values = {"distance": Quantity(distance, "m"), "angle": Quantity(angle, "rad")}
             self.text = self.problem or Sentence("{distance:.3} and {angle:.3} off the model's", **values)
+
+    def _is_constant(self, pose: ToolPose) -> bool:
+        """Return whether a controller fills the tool's pose in, as simulators do: with zeros, or the same at other axes."""
+        if not any((*pose.position, *pose.abc)):
+            return True
+        before = self._compared
+        if before is None or (before.position, before.abc) != (pose.position, pose.abc):
+            return False
+        return max(abs(one - other) for one, other in zip(before.axes, pose.axes)) > _ELSEWHERE
 
 
 class LinkObservations(ArmAndStream):

@@ -80,6 +80,20 @@ def test_a_controller_that_does_not_send_it_is_armed_and_that_is_said(checked):
     assert checked.supervisor.inputs.arm.text == "not compared: the controller does not send where its tool is"
 
 
+def test_a_tool_pose_that_a_simulator_fills_in_is_not_compared_and_that_is_said(checked):
+    constant = "not compared: the controller sends one tool pose whatever its axes are"
+    checked.gateway["tool_pose"] = {"axes": list(POSE), "position": [0.0] * 3, "abc": [0.0] * 3}
+    assert checked.run(0.5).state is LinkState.ARMED and checked.supervisor.inputs.arm.text == constant
+    # one that was right where the arm stood first, and stays the same elsewhere
+    report(checked)
+    checked.run(0.5)
+    told = dict(checked.gateway["tool_pose"])
+    checked.pose = checked.command = moved(0.3)
+    checked.gateway["tool_pose"] = told | {"axes": list(checked.pose)}
+    arm = checked.run(1.0).supervisor.inputs.arm
+    assert (arm.text, arm.problem) == (constant, "")
+
+
 def test_a_status_of_an_arm_with_other_axes_is_not_compared(checked):
     report(checked, 0.3, (*POSE, 0.0))
     assert checked.run(0.5).supervisor.inputs.arm.difference == ()
