@@ -253,7 +253,7 @@ def test_what_a_person_has_filled_in_is_not_written_over(tmp_path, capsys):
         (["--base", "tool0", "--tip", "base_link"], ("", ""), "expected a descendant of tool0"),
         (["--tip", "base_link"], ("", ""), "expected a link that 1 to 12 joints move; 0 do"),
         ([], ('type="revolute"', 'type="floating"'), "an independent revolute, continuous or prismatic joint"),
-        ([], ('velocity="', 'velocity="0" was="'), "a positive number"),
+        ([], ('velocity="', 'velocity="0" was="'), "above 0 [rad/s]"),
         (["--full-speed-in", "0"], ("", ""), "expected positive numbers"),
         (["--name", "My Arm"], ("", ""), "name"),
         (["--xacro-args", "a"], ("", ""), "expected words name=value"),
