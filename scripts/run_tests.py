@@ -49,8 +49,8 @@ LINE = 300
 PER_CORE, MOST = 2, 6
 #: What a file counts that is not in the list of durations [s]; processor time of the fast tests, and of the longest among them.
 SHORT, FAST, LONGEST_FAST = 0.5, 240.0, 10.0
-#: Launch tests that count rates or late replies: nothing runs beside them.
-ALONE = ("experiment", "physics_twin")
+#: Launch tests that count rates or late replies, or whose strings have no stamps: nothing runs beside them.
+ALONE = ("bare_plc", "experiment", "physics_twin")
 #: The launch tests of a folder; `unit`, `repository`: all of these, because testmon sees Python only; `realtime`: those at 250 Hz.
 TOUCHES = {
     "src/construction_twin/core": "realtime kill",
