@@ -51,7 +51,7 @@ from construction_twin.robot.executed_path import ExecutedPath
 from construction_twin.robot.new_robot import robot_of_urdf
 from construction_twin.robot.segments import Signal, Switch
 from construction_twin.robot.trajectory import Trajectory
-from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.scene.objects import Scene, SceneObject, read_mesh_file
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.scene.self_collision import read_self_collision
 
@@ -59,6 +59,8 @@ from construction_twin.scene.self_collision import read_self_collision
 MOST_BYTES, MOST_MODEL = 64 << 20, 16 << 20
 #: What a plan that is made now is called.
 PLANNED = "a plan was made"
+#: What poses do that close no gate.
+AGREED = "the poses agree within the thresholds"
 #: What a request may be made of.
 _RECORDS = {
     each.__name__: each
@@ -75,8 +77,8 @@ _CYCLE = NANOSECONDS // 250
 
 
 def failure(kind: str, sentence: str, state: Mapping[str, Any], **more: Any) -> str:
-    """Return a failure as JSON; `more`: the keys of its kind."""
-    document = {"kind": kind, "sentence": sentence, "versions": versions(), "state": dict(state), **more}
+    """Return a failure as JSON, meshes of its scene included; `more`: the keys of its kind."""
+    document = {"kind": kind, "sentence": sentence, "versions": versions(), "state": dict(state), **_with_meshes(more)}
     return json.dumps(document, indent=1, allow_nan=False) + "\n"
 
 
@@ -101,7 +103,7 @@ def model_failure(path: Path) -> str:
 
 
 def request_json(failed: FailedRequest) -> dict[str, Any]:
-    """Return a request for a plan, with its scene, as JSON."""
+    """Return a request for a plan, with its scene, as JSON; meshes by the paths of their files."""
     request = {"method": failed.method, "arguments": _encoded(failed.arguments)}
     return {"request": request, "scene": _encoded(failed.scene)}
 
@@ -109,19 +111,24 @@ def request_json(failed: FailedRequest) -> dict[str, Any]:
 def _encoded(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return {"array": value.tolist()}
-    if isinstance(value, SceneObject) and value.mesh:
-        mesh = base64.b64encode(Path(value.mesh).read_bytes()).decode()
-        return {"record": "SceneObject", "mesh_contents": mesh, **_fields(value)}
     if is_dataclass(value) or hasattr(value, "_fields"):
-        return {"record": type(value).__name__, **_fields(value)}
+        names = [each.name for each in fields(value) if each.init] if is_dataclass(value) else value._fields
+        return {"record": type(value).__name__, **{name: _encoded(getattr(value, name)) for name in names}}
     if isinstance(value, Mapping):
         return {"mapping": {key: _encoded(item) for key, item in value.items()}}
     return [_encoded(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 
-def _fields(value: Any) -> dict[str, Any]:
-    names = [each.name for each in fields(value) if each.init] if is_dataclass(value) else value._fields
-    return {name: _encoded(getattr(value, name)) for name in names}
+def _with_meshes(value: Any) -> Any:
+    """Return JSON in which each object of a scene has the contents of its mesh; SceneError where the file is gone."""
+    if isinstance(value, list):
+        return [_with_meshes(item) for item in value]
+    if not isinstance(value, dict):
+        return value
+    held = {key: _with_meshes(item) for key, item in value.items()}
+    if held.get("record") == "SceneObject" and held["mesh"]:
+        held["mesh_contents"] = base64.b64encode(read_mesh_file(held["name"], held["mesh"])).decode()
+    return held
 
 
 # -- reading
@@ -192,7 +199,7 @@ def _replayed_hold(document: Mapping[str, Any]) -> str:
         gate.on_physical(physical if in_sync or gate.cause else twin, now, now)
         if cycle > opens and gate.state is not SyncState.IN_SYNC:
             return gate.reason
-    return f"the gate stays {gate.state.name}"
+    return AGREED
 
 
 def _replayed_model(document: Mapping[str, Any]) -> str:

@@ -40,7 +40,9 @@ from construction_twin.mqtt.client import Broker
 from construction_twin.mqtt.messages import Topics
 from construction_twin.planning import requests as plan_requests
 from construction_twin.planning.timing import time_path
+from construction_twin.replay import failure
 from construction_twin.robot.frames import rotation_to_quaternion
+from construction_twin.robot.motion_errors import SceneError
 from construction_twin.ros.messages import convert
 from construction_twin.ros.messages.scene_convert import object_to_msg, scene_to_msg
 from construction_twin.ros.nodes import planner as module
@@ -191,17 +193,29 @@ def test_a_motion_comes_as_a_message_or_from_a_file_and_not_from_both(bench, tmp
     assert "expected one of them" in bench.services["plan_trajectory"](request).message
 
 
-def test_a_failure_that_cannot_be_kept_is_answered_all_the_same(bench, tmp_path):
+def refused_motion(bench, joint):
+    answer = bench.services["plan_to_joints"](PlanToJointsRequest(goal=[joint, *LEFT[1:]]))
+    outcome = bench.published["plan_outcome"][-1]
+    assert not answer.success and outcome.message == answer.message
+    return outcome
+
+
+def test_a_failure_that_cannot_be_written_as_json_is_answered_all_the_same(bench):
+    bench.show(SCENE)
+    outcome = refused_motion(bench, math.nan)
+    assert "joint_a1 is nan" in outcome.message and outcome.request == ""
+
+
+def test_a_failure_comes_with_its_request_whose_mesh_is_read_where_it_is_saved(bench, tmp_path):
     mesh = tmp_path / "wall.stl"
     write_stl(mesh, box_triangles((0.2, 0.2, 0.2)))
     wall = SceneObject("wall", "mesh", position=(4.0, 0.0, 0.5), mesh=str(mesh))
-    for scene, joint, said in ((Scene((wall,)), 0.1, "expected a readable file"), (SCENE, math.nan, "joint_a1 is nan")):
-        bench.show(scene)
-        mesh.unlink(missing_ok=True)
-        answer = bench.services["plan_to_joints"](PlanToJointsRequest(goal=[joint, *LEFT[1:]]))
-        outcome = bench.published["plan_outcome"][-1]
-        assert not answer.success and said in answer.message
-        assert (outcome.message, outcome.request) == (answer.message, "")
+    bench.show(Scene((wall,)))
+    mesh.unlink()
+    outcome = refused_motion(bench, 0.1)
+    assert "expected a readable file" in outcome.message and str(mesh) in outcome.request
+    with pytest.raises(SceneError, match="expected a readable file"):
+        failure("plan", outcome.message, {}, **json.loads(outcome.request))
 
 
 def test_once_it_is_free_any_motion_is_planned_and_there_is_no_way_back(bench):

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 import rospy
 from sensor_msgs.msg import JointState
 
-from construction_twin.core.errors import ConstructionTwinError, RequestRefused, SilenceError
+from construction_twin.core.errors import RequestRefused, SilenceError
 from construction_twin.core.records import json_value
 from construction_twin.monitor.settings import GateSettings
 from construction_twin.msg import PlanOutcome
 from construction_twin.planning.planner import PlannerSettings
-from construction_twin.replay import failure, replay
+from construction_twin.replay import AGREED, failure, replay
+from construction_twin.robot.urdf import read_text
 from construction_twin.ros.shared.params import robot_from_parameters
 from construction_twin.ros.shared.robot_client import OperatorClient
 from construction_twin.views.texts import Snapshot
@@ -28,7 +28,7 @@ def running_failure(namespace: str, now: Snapshot, client: OperatorClient) -> st
     robot: dict[str, Any] = {
         "urdf": rospy.get_param(f"{namespace}/robot_description"),
         "description": rospy.get_param(f"{namespace}/robot"),
-        "self_collision": Path(planner["self_collision"]).read_text(encoding="utf-8"),
+        "self_collision": read_text(planner["self_collision"]),
     }
     try:
         outcome = client.latched("plan_outcome", PlanOutcome, "no plan was asked for", "ask for one")
@@ -38,7 +38,7 @@ def running_failure(namespace: str, now: Snapshot, client: OperatorClient) -> st
         settings = {name: planner[name] for name in PlannerSettings.model_fields}
         return failure("plan", outcome.message, state, robot=robot, settings=settings, **json.loads(outcome.request))
     if now.hold is None or not now.hold.since:
-        raise RequestRefused("nothing has failed: the last plan was made, and the poses do not keep the gate closed")
+        raise RequestRefused("nothing has failed: the last plan was made, and the gate is not held")
     joints = robot_from_parameters(f"{namespace}/").joint_names
     poses = {}
     for name in ("twin", "physical"):
@@ -48,8 +48,7 @@ def running_failure(namespace: str, now: Snapshot, client: OperatorClient) -> st
     monitor = rospy.get_param(f"{namespace}/pca_monitor")
     settings = {name: monitor[name] for name in GateSettings.model_fields if name in monitor}
     hold = {"robot": robot, "settings": settings, "decimals": monitor["decimals"], **poses}
-    try:
-        sentence = replay({"kind": "hold", **hold})
-    except ConstructionTwinError as error:
-        raise RequestRefused(f"the hold cannot be replayed: {error}") from error
+    sentence = replay({"kind": "hold", **hold})
+    if sentence == AGREED:
+        raise RequestRefused(f"the poses do not keep the gate closed: {now.hold.cause}")
     return failure("hold", sentence, state, **hold)

@@ -302,8 +302,8 @@ class PlannerNode:
         if not answer.success and failed is not None and failed.sentence == answer.message:
             try:
                 request = json.dumps(request_json(failed), allow_nan=False)
-            except (OSError, ValueError) as error:
-                # a mesh that is gone, a goal that is no number: the answer comes all the same
+            except ValueError as error:
+                # a goal that is no number: the answer comes all the same
                 rospy.logwarn("`twin save-failure` will not find this request: %s", error)
         outcome = msg.PlanOutcome(
             success=answer.success,
