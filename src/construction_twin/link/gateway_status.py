@@ -116,11 +116,6 @@ class GatewayStatus(_Part):
         return self.state == "failed"
 
     @property
-    def reads_only(self) -> bool:
-        """True when the controller takes no corrections (ONLYSEND)."""
-        return self.state == "read_only"
-
-    @property
     def is_armed(self) -> bool:
         """True when it is armed for its `session`, or follows it."""
         return self.state in ("armed", "following")

@@ -101,3 +101,11 @@ def test_the_installed_program_takes_check_as_its_first_word_without_a_master(tm
     ended = subprocess.run(program, capture_output=True, text=True, timeout=60, check=False)
     assert ended.returncode == NOT_CHECKED
     assert ended.stderr.startswith("work check: ") and "missing.ifc" in ended.stderr
+
+
+def test_a_word_that_is_no_command_does_not_start_the_node():
+    ended = subprocess.run(
+        [sys.executable, str(ROOT / "nodes/work"), "chek"], capture_output=True, text=True, timeout=60
+    )
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert ended.stderr == "work: found 'chek', expected check, register, schedule, or nothing: the node\n"

@@ -10,10 +10,14 @@ COMMANDS = ("check", "register", "schedule")
 
 def main() -> int:
     """Run the node until shutdown, or a command; return the exit code."""
-    if sys.argv[1:2] and sys.argv[1] in COMMANDS:
+    word = next(iter(sys.argv[1:]), "")
+    if word in COMMANDS:
         # a command needs nothing of the node's
-        command = importlib.import_module(f"construction_twin.extensions.work.commands.work_{sys.argv[1]}")
+        command = importlib.import_module(f"construction_twin.extensions.work.commands.work_{word}")
         return command.main(sys.argv[2:])
+    if word and ":=" not in word:
+        print(f"work: found {word!r}, expected {', '.join(COMMANDS)}, or nothing: the node", file=sys.stderr)
+        return 2
     from construction_twin.extensions.work.nodes.work import main as run
 
     run()
