@@ -8,9 +8,8 @@ import coal
 import manifold3d
 import numpy as np
 
-from construction_twin.scene.convex_pieces import HELD, farthest_outside
+from construction_twin.scene.convex_pieces import HELD, farthest_outside, surface
 from construction_twin.scene.solids import hull_solid, mesh_of, union
-from construction_twin.scene.triangle_mesh import surface
 
 #: By how much pieces are made larger before they are compared with the body: faces in one plane but for the last digits.
 _APART = 1e-7

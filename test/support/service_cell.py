@@ -16,7 +16,7 @@ from paho.mqtt import client as paho
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 from processes import wait_until
 
-from construction_twin.core.udp import bind
+from construction_twin.core.network import bind
 from construction_twin.core.units import CYCLE, CYCLE_NS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.service import GatewayService

@@ -7,7 +7,7 @@ import dataclasses
 from mock_cell import AXES, CONFIG, HOME, forward_kinematics
 from processes import ROOT
 
-from construction_twin.controller.tool import GatewayTool, ToolOutput
+from construction_twin.controller.port import GatewayTool, ToolOutput
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.controller_socket import TelegramInbox

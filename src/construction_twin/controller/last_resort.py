@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from construction_twin.controller.telegram import stamp_step
 from construction_twin.core.limits import MotionLimits
-from construction_twin.core.udp import MAX_TELEGRAM
+from construction_twin.core.network import MAX_TELEGRAM
 
 #: After a longer gap a program may have started a session anew, and the target would be a jump: it is answered no more [ms].
 LONGEST_GAP_MS = 40

@@ -1,4 +1,4 @@
-"""The port to a make of robot controller: a `Make`, of one folder beside this one.
+"""The port to a make of robot controller, a `Make`, and the makes by their names: the one place that names a make's folder.
 
 Each function of a `Make` is asked at the start, and what it returns is bound there. Targets are absolute, or corrections to an
 origin that stays, never increments (docs/architecture.md, law 2). rad, m, ms.
@@ -6,16 +6,61 @@ origin that stays, never increments (docs/architecture.md, law 2). rad, m, ms.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
-from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.last_resort import LastResort
-from construction_twin.controller.telegram import Reply, Telegram
-from construction_twin.controller.tool import GatewayTool, ToolReading
+from construction_twin.controller.telegram import AxisUnit, Reply, Telegram
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
+
+#: The channel without which none of the outputs may be changed; no output can have its name.
+ENABLE = "Enable"
+#: What may become of an output when RSI ends or a reply is missed, and the HOLDON that says so.
+HOLDON = {"keep": True, "off": False}
+
+_is_name = re.compile(r"[a-z][a-z0-9_]{0,23}").fullmatch
+
+
+def is_tool_name(name: str) -> bool:
+    """Return whether a name is valid for a tool's output or input."""
+    return _is_name(name) is not None
+
+
+@dataclass(frozen=True)
+class ToolOutput:
+    """An output; `on_stop`: ``keep`` or ``off`` at RSI's end or a missed reply; `opens`: the value that lets go, if one does."""
+
+    name: str
+    on_stop: str
+    opens: bool | None = None
+
+
+@dataclass(frozen=True)
+class GatewayTool:
+    """A tool, as its file was checked by `robot.tool`."""
+
+    name: str
+    outputs: tuple[ToolOutput, ...]
+    inputs: tuple[str, ...]
+
+    @classmethod
+    def of_document(cls, document: dict) -> GatewayTool:
+        """Return the tool of a configuration file; TypeError or KeyError for an invalid one."""
+        outputs = tuple(ToolOutput(**output) for output in document["outputs"])
+        return cls(**document | {"outputs": outputs, "inputs": tuple(document["inputs"])})
+
+
+@dataclass(frozen=True, slots=True)
+class ToolReading:
+    """A tool's signals in a telegram, in the order of the reader's names."""
+
+    outputs: tuple[bool, ...]
+    inputs: tuple[bool, ...]
 
 
 class Layout(Protocol):
@@ -25,7 +70,7 @@ class Layout(Protocol):
 
     @property
     def make(self) -> str:
-        """Name of the make, see `makes`."""
+        """Name of the make, see `MODULES`."""
 
     @property
     def port(self) -> int:
@@ -296,3 +341,17 @@ class Make(Generic[LayoutT]):
             expected = f"none: {self.name} has no file for its telegrams"
             raise ConfigurationError("file of the controller", path_or_text, expected)
         return self.file
+
+
+#: The make of a configuration that names none.
+DEFAULT_MAKE = "rsi"
+#: Module of each make; its `MAKE` is the make.
+MODULES = {DEFAULT_MAKE: "construction_twin.rsi.make"}
+
+
+@cache
+def make_of(name: str) -> Make:
+    """Return a make by its name; ConfigurationError for an unknown one."""
+    if name not in MODULES:
+        raise ConfigurationError("make", name, f"one of {', '.join(MODULES)}")
+    return import_module(MODULES[name]).MAKE

@@ -1,7 +1,8 @@
-"""Telegrams and replies of any robot controller as values, and the steps of its clock. rad and m, ms."""
+"""Telegrams and replies of any robot controller as values in rad and m, the steps of its clock in ms, and the units of its wire."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 #: A controller that counts its time in 32 bits goes on with 0 here (docs/rsi.md, section 4).
@@ -53,3 +54,51 @@ def stamp_step(before: int, stamp: int, longest: int) -> int:
         return step
     wrapped = step + STAMP_WRAP if step < 0 else step - STAMP_WRAP
     return wrapped if -longest <= wrapped <= longest else step
+
+
+@dataclass(frozen=True)
+class AxisUnit:
+    """How one axis is written on the wire: ``feedback = feedback_scale * unit * (sign * x + offset)``.
+
+    `unit` is deg per rad, or mm per m for a linear axis; the offset is the controller's [rad], [m]. A correction has no offset,
+    and its own scale (docs/rsi.md, section 11).
+    """
+
+    linear: bool = False
+    sign: int = 1
+    offset: float = 0.0
+    feedback_scale: float = 1.0
+    correction_scale: float = 1.0
+
+    @property
+    def feedback_factor(self) -> float:
+        """Wire units of a position per rad or m."""
+        return self._per_unit * self.feedback_scale * self.sign
+
+    @property
+    def reading_factor(self) -> float:
+        """Rad or m per wire unit of a position."""
+        return self._inverse / self.feedback_scale * self.sign
+
+    @property
+    def zero(self) -> float:
+        """What is subtracted from a position after `reading_factor` [rad] or [m]."""
+        return self.sign * self.offset
+
+    @property
+    def correction_factor(self) -> float:
+        """Wire units of a correction per rad or m."""
+        return self._per_unit * self.correction_scale * self.sign
+
+    @property
+    def correction_reading_factor(self) -> float:
+        """Rad or m per wire unit of a correction."""
+        return self._inverse / self.correction_scale * self.sign
+
+    @property
+    def _per_unit(self) -> float:
+        return 1e3 if self.linear else 180.0 / math.pi
+
+    @property
+    def _inverse(self) -> float:
+        return 1e-3 if self.linear else math.pi / 180.0

@@ -15,9 +15,8 @@ from queue import SimpleQueue
 
 from construction_twin.core.command_line import Parser
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
-from construction_twin.core.network import is_loopback
+from construction_twin.core.network import address_of, bind, is_loopback
 from construction_twin.core.realtime import lock_memory, request_realtime
-from construction_twin.core.udp import address_of, bind
 from construction_twin.gateway.config import GatewayConfig, load_config
 from construction_twin.gateway.service import GatewayService
 from construction_twin.gateway.states import Mode

@@ -11,10 +11,8 @@ import math
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
-from construction_twin.controller.axis_unit import AxisUnit
-from construction_twin.controller.makes import DEFAULT, make_of
-from construction_twin.controller.port import Layout, Make
-from construction_twin.controller.tool import GatewayTool
+from construction_twin.controller.port import DEFAULT_MAKE, GatewayTool, Layout, Make, make_of
+from construction_twin.controller.telegram import AxisUnit
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
 
@@ -87,7 +85,7 @@ class GatewayConfig:
         need(min(self.velocity) > 0, "velocity", "positive limits")
         need(min(self.acceleration) > 0, "acceleration", "positive limits")
         if self.layout is None:
-            object.__setattr__(self, "layout", make_of(DEFAULT).plain(self.axes))
+            object.__setattr__(self, "layout", make_of(DEFAULT_MAKE).plain(self.axes))
         make = self.make
         if not self.reference and make.references:
             object.__setattr__(self, "reference", make.references[0])

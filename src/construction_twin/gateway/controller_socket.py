@@ -11,7 +11,7 @@ from construction_twin.controller.port import Encoder
 from construction_twin.controller.telegram import Telegram, stamp_step
 from construction_twin.core.errors import TelegramError
 from construction_twin.core.histogram import Histogram
-from construction_twin.core.udp import receive
+from construction_twin.core.network import receive
 from construction_twin.gateway.gateway import Gateway
 
 #: Datagrams read before anything else gets its turn: a flood must not stop the loop.

@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from dataclasses import dataclass
 
-from construction_twin.controller.port import Layout
-from construction_twin.controller.tool import ENABLE, GatewayTool, ToolReading
+from construction_twin.controller.port import ENABLE, GatewayTool, Layout, ToolReading
 from construction_twin.core.reports import SwitchState
 from construction_twin.core.sentences import Sentence, join_sentences
 from construction_twin.core.units import NANOSECONDS

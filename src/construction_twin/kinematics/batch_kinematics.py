@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from construction_twin.kinematics.axes import joint_axes
-from construction_twin.kinematics.chain import Chain
+from construction_twin.kinematics.chain import Chain, joint_axes
 
 #: Keeps steps short where the tip cannot move in a direction.
 _DAMPING = 1e-14

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from construction_twin.kinematics.axes import TOLERANCE, Axis, intersection, joint_axes
-from construction_twin.kinematics.chain import Chain, Pose, to_pose
+from construction_twin.kinematics.chain import AXIS_TOLERANCE, Axis, Chain, Pose, intersection, joint_axes, to_pose
 
 if TYPE_CHECKING:
     import py_opw_kinematics
@@ -95,7 +94,7 @@ def find_opw(chain: Chain) -> OpwModel | str:
         return reason
     model = _measure(axes, wrist, chain)
     gap = _largest_gap(model, chain)
-    if gap > TOLERANCE:
+    if gap > AXIS_TOLERANCE:
         return f"its forward kinematics differs from the OPW model's by {gap:.3g}"
     return model
 
@@ -106,17 +105,17 @@ def _difference(axes: list[Axis], wrist: np.ndarray | None) -> str:
     if wrist is None:
         return "its axes 4 and 5 do not meet in one point"
     miss = float(np.linalg.norm(axes[5].nearest(wrist) - wrist))
-    if miss > TOLERANCE:
+    if miss > AXIS_TOLERANCE:
         return f"axis 6 passes {miss:.3g} m beside the point where axes 4 and 5 meet, so its wrist is not spherical"
     tilt = float(np.linalg.norm(np.cross(d[1], d[2])))
-    if tilt > TOLERANCE:
+    if tilt > AXIS_TOLERANCE:
         return f"its axes 2 and 3 are {math.asin(min(1.0, tilt)):.3g} rad from parallel"
     for first, second in ((0, 1), (2, 3), (3, 4), (4, 5)):
         off = abs(float(d[first] @ d[second]))
-        if off > TOLERANCE:
+        if off > AXIS_TOLERANCE:
             return f"its axes {first + 1} and {second + 1} are {math.asin(min(1.0, off)):.3g} rad from perpendicular"
     between = axes[2].point - axes[1].nearest(axes[2].point)
-    if np.linalg.norm(between) < TOLERANCE:
+    if np.linalg.norm(between) < AXIS_TOLERANCE:
         return "its axes 2 and 3 are the same line"
     return ""
 
@@ -127,8 +126,8 @@ def _measure(axes: list[Axis], wrist: np.ndarray, chain: Chain) -> OpwModel:
     tip = to_pose(chain.frame([0.0] * 6))
     origin = axes[0].nearest(np.zeros(3))
     rise = (axes[1].nearest(origin) - origin) @ d[0]
-    z = d[0] if rise >= -TOLERANCE else -d[0]
-    y = d[1] if (axes[1].nearest(origin) - origin) @ np.cross(d[1], z) >= -TOLERANCE else -d[1]
+    z = d[0] if rise >= -AXIS_TOLERANCE else -d[0]
+    y = d[1] if (axes[1].nearest(origin) - origin) @ np.cross(d[1], z) >= -AXIS_TOLERANCE else -d[1]
     x = np.cross(y, z)
     shoulder = axes[1].nearest(origin) - origin
 
@@ -137,9 +136,9 @@ def _measure(axes: list[Axis], wrist: np.ndarray, chain: Chain) -> OpwModel:
 
     upper_arm = in_plane(axes[2].nearest(wrist) - axes[1].nearest(wrist))
     forearm = in_plane(wrist - axes[2].nearest(wrist))
-    f = d[3] if forearm @ d[3] >= -TOLERANCE else -d[3]
-    side = d[4] if y @ d[4] >= -TOLERANCE else -d[4]
-    g = d[5] if (tip.position - wrist) @ d[5] >= -TOLERANCE else -d[5]
+    f = d[3] if forearm @ d[3] >= -AXIS_TOLERANCE else -d[3]
+    side = d[4] if y @ d[4] >= -AXIS_TOLERANCE else -d[4]
+    g = d[5] if (tip.position - wrist) @ d[5] >= -AXIS_TOLERANCE else -d[5]
     theta2 = math.atan2(upper_arm @ x, upper_arm @ z)
     theta4 = math.atan2(np.cross(y, side) @ f, y @ side)
     theta5 = math.atan2(g @ np.cross(side, f), g @ f)

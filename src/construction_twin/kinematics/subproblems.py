@@ -15,9 +15,8 @@ from typing import NoReturn
 import numpy as np
 from eaik.pybindings.EAIK import Robot as Solver
 
-from construction_twin.kinematics.axes import Axis, joint_axes
 from construction_twin.kinematics.branches import BranchInverse
-from construction_twin.kinematics.chain import Chain, Pose
+from construction_twin.kinematics.chain import Axis, Chain, Pose, joint_axes
 from construction_twin.kinematics.numeric import NumericInverse
 from construction_twin.kinematics.solution import (
     ArmKind,

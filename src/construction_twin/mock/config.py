@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from construction_twin.controller.axis_unit import AxisUnit
-from construction_twin.controller.makes import DEFAULT, make_of
-from construction_twin.controller.port import Layout
+from construction_twin.controller.port import DEFAULT_MAKE, Layout, make_of
+from construction_twin.controller.telegram import AxisUnit
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.mock.gripper import Gripper
 
@@ -55,7 +54,7 @@ class MockConfig:
 
     def __post_init__(self) -> None:
         if self.layout is None:
-            object.__setattr__(self, "layout", make_of(DEFAULT).plain(self.axes))
+            object.__setattr__(self, "layout", make_of(DEFAULT_MAKE).plain(self.axes))
         make = make_of(self.layout.make)
         make.check_axes(self.layout, self.axes)
         if self.cycle not in make.cycles:

@@ -13,8 +13,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from construction_twin.controller.makes import make_of
-from construction_twin.controller.port import ControllerStatus, MockStatus
+from construction_twin.controller.port import ControllerStatus, MockStatus, make_of
 from construction_twin.controller.telegram import STAMP_WRAP, Reply, stamp_step
 from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.mock.config import MockConfig

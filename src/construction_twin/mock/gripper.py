@@ -9,8 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from construction_twin.controller.port import Layout
-from construction_twin.controller.tool import ENABLE
+from construction_twin.controller.port import ENABLE, Layout
 
 _NOTHING: Mapping[str, bool] = MappingProxyType({})
 

@@ -19,7 +19,7 @@ from queue import Empty, SimpleQueue
 from typing import TypeVar
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.udp import enable_timestamps, receive
+from construction_twin.core.network import enable_timestamps, receive
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.faults import FaultBoard

@@ -16,9 +16,8 @@ from xml.etree import ElementTree
 
 import pydantic
 
-from construction_twin.controller.axis_unit import AxisUnit
-from construction_twin.controller.makes import DEFAULT, MODULES, make_of
-from construction_twin.controller.port import Layout
+from construction_twin.controller.port import DEFAULT_MAKE, MODULES, Layout, make_of
+from construction_twin.controller.telegram import AxisUnit
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.extensions import check_extras, import_extension
 from construction_twin.core.realtime import request_realtime
@@ -67,7 +66,7 @@ class MockSettings(pydantic.BaseModel):
 
     gateway_host: str
     gateway_port: Annotated[int, pydantic.Field(ge=0, le=65535)] = 0
-    make: str = DEFAULT
+    make: str = DEFAULT_MAKE
     ethernet_xml: str = ""
     cycle: int = 4
     precision: Annotated[int, pydantic.Field(ge=1, le=32)] = 6
@@ -212,9 +211,9 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     )
     option("--robot-xacro-args", metavar="'NAME=VALUE ...'", help="arguments of the xacro [its defaults]")
     option("--robot-config", type=Path, default=share_file("config/kr120.yaml"), help="robot YAML [%(default)s]")
-    option("--make", choices=tuple(MODULES), default=DEFAULT, help="make of the controller [%(default)s]")
+    option("--make", choices=tuple(MODULES), default=DEFAULT_MAKE, help="make of the controller [%(default)s]")
     option("--ethernet-xml", type=Path, metavar="FILE",
-           help=f"file that describes its telegrams; of {DEFAULT} the Ethernet XML [of {DEFAULT}: {_SHIPPED}]")  # fmt: skip
+           help=f"file that describes its telegrams; of {DEFAULT_MAKE} the Ethernet XML [of {DEFAULT_MAKE}: {_SHIPPED}]")  # fmt: skip
     option("--tool", type=Path, metavar="FILE", help="tool file of the gripper that is simulated [none]")
     option(
         "--gateway",
@@ -254,8 +253,8 @@ def _pose(text: str) -> list[float]:
 def checked_settings(options: dict) -> MockSettings:
     """Return the settings that `parse_arguments` gave; ConfigurationError when one makes no sense."""
     host, _, port = options.pop("gateway").rpartition(":")
-    make = make_of(options.get("make", DEFAULT))
-    path = options.pop("ethernet_xml", _SHIPPED if make.name == DEFAULT else None)
+    make = make_of(options.get("make", DEFAULT_MAKE))
+    path = options.pop("ethernet_xml", _SHIPPED if make.name == DEFAULT_MAKE else None)
     if path is not None:
         options["ethernet_xml"] = str(path)
     if "tool" in options:

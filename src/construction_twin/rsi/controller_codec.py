@@ -6,10 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
-from construction_twin.controller.axis_unit import AxisUnit
-from construction_twin.controller.telegram import Reply
+from construction_twin.controller.telegram import AxisUnit, Reply
 from construction_twin.core.errors import ConfigurationError, TelegramError
-from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP
+from construction_twin.rsi.layout import EXTERNAL_AXES, IN, OUT, ROBOT_AXES, SET, STOP, names_of
 from construction_twin.rsi.status_channels import ATTRIBUTE, NAMES, RsiStatus, status_channels
 from construction_twin.rsi.telegram import (
     axis_units,
@@ -19,7 +18,6 @@ from construction_twin.rsi.telegram import (
     read_ipoc,
     read_number,
 )
-from construction_twin.rsi.tool_channels import IN, OUT, SET, names_of
 
 _POSE = ("X", "Y", "Z", "A", "B", "C")
 #: Attributes of a packet's blocks.

@@ -16,10 +16,19 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from xml.etree import ElementTree
 
-from construction_twin.controller.tool import ENABLE
+from construction_twin.controller.port import ENABLE
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.rsi.layout import EXTERNAL_AXES, ROBOT_AXES, STOP, RsiLayout, default_element
-from construction_twin.rsi.tool_channels import IN, OUT, SET, is_set_channel
+from construction_twin.rsi.layout import (
+    EXTERNAL_AXES,
+    IN,
+    OUT,
+    ROBOT_AXES,
+    SET,
+    STOP,
+    RsiLayout,
+    default_element,
+    is_set_channel,
+)
 
 
 class EthernetXmlError(ConfigurationError):

@@ -10,11 +10,10 @@ import re
 from collections.abc import Sequence
 from functools import partial
 
-from construction_twin.controller.axis_unit import AxisUnit
-from construction_twin.controller.telegram import Telegram
+from construction_twin.controller.telegram import AxisUnit, Telegram
 from construction_twin.core.errors import TelegramError
-from construction_twin.core.udp import MAX_TELEGRAM
-from construction_twin.rsi.layout import EXTERNAL_AXES, STOP, RsiLayout
+from construction_twin.core.network import MAX_TELEGRAM
+from construction_twin.rsi.layout import EXTERNAL_AXES, STOP, RsiLayout, set_element
 from construction_twin.rsi.telegram import (
     axis_units,
     check_values,
@@ -29,7 +28,6 @@ from construction_twin.rsi.telegram import (
     read_number,
     without_declaration,
 )
-from construction_twin.rsi.tool_channels import set_element
 
 #: What values may consist of, all of them together, so that they cannot change what is around them.
 _is_plain = re.compile(rb"[-+.0-9A-Za-z]*").fullmatch

@@ -6,19 +6,20 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
-from construction_twin.controller.axis_unit import AxisUnit
 from construction_twin.controller.last_resort import BareProtocol, LastResort
 from construction_twin.controller.port import (
+    ENABLE,
+    HOLDON,
     ControllerSide,
     FileForm,
+    GatewayTool,
     Make,
     MockStatus,
     Reader,
     Setup,
     Terms,
 )
-from construction_twin.controller.telegram import Telegram
-from construction_twin.controller.tool import ENABLE, HOLDON, GatewayTool
+from construction_twin.controller.telegram import AxisUnit, Telegram
 from construction_twin.core.limits import distance_off, outside_tolerance
 from construction_twin.core.sentences import Sentence
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
@@ -32,9 +33,18 @@ from construction_twin.rsi.ethernet_xml import (
     tool_channels,
 )
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder, read_tool_pose
-from construction_twin.rsi.layout import EXTERNAL_AXES, STOP, RsiLayout, default_element
+from construction_twin.rsi.layout import (
+    EXTERNAL_AXES,
+    IN,
+    OUT,
+    SET,
+    STOP,
+    RsiLayout,
+    ToolReader,
+    default_element,
+    names_of,
+)
 from construction_twin.rsi.status_channels import RsiStatus, StatusReader, status_channels
-from construction_twin.rsi.tool_channels import IN, OUT, SET, ToolReader, names_of
 
 NOTICE = (
     "construction_twin. Written from published facts, NOT TRIED ON A CONTROLLER: "

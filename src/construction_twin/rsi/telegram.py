@@ -13,9 +13,9 @@ import re
 from collections.abc import Sequence
 from xml.etree import ElementTree
 
-from construction_twin.controller.axis_unit import AxisUnit
+from construction_twin.controller.telegram import AxisUnit
 from construction_twin.core.errors import TelegramError
-from construction_twin.core.udp import MAX_TELEGRAM
+from construction_twin.core.network import MAX_TELEGRAM
 from construction_twin.rsi.layout import default_element
 
 #: Matches fixed notation without exponent, infinity, underscore or white space; the digit limits keep every match finite.

@@ -20,9 +20,9 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.packages import with_mesh_files
+from construction_twin.scene.convex_pieces import surface
 from construction_twin.scene.mesh_file import parse_mesh
 from construction_twin.scene.objects import Scene, SceneObject, names_text, read_mesh_file
-from construction_twin.scene.triangle_mesh import surface
 
 #: A closed mesh is convex when no vertex lies further outside one of its faces than this fraction of its size.
 _CONVEX_TOLERANCE = 1e-6

@@ -12,7 +12,7 @@ from chain_samples import REACH, ROBOT, SETTINGS, make_plan, play_to_the_end
 from frames_make import CYCLE_MS, SESSION, Frames, stamp_of
 from simulation import SimulatedChain
 
-from construction_twin.controller import makes
+from construction_twin.controller import port
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import NANOSECONDS
 from construction_twin.execution.executor import ExecutorState
@@ -31,7 +31,7 @@ from construction_twin.ros.nodes.rsi_gateway import gateway_config
 def known():
     """The second make is known in this module only: other tests compare what is known with the documents."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(makes.MODULES, frames_make.MAKE.name, "frames_make")
+        patch.setitem(port.MODULES, frames_make.MAKE.name, "frames_make")
         yield
 
 

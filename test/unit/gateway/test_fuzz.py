@@ -30,7 +30,7 @@ from paho.mqtt.properties import Properties
 from processes import wait_until
 from service_cell import CODEC, START, Client, Controller
 
-from construction_twin.core.udp import bind
+from construction_twin.core.network import bind
 from construction_twin.core.units import CYCLE
 from construction_twin.mqtt.messages import CommandProperties, arm_value
 from construction_twin.rsi.controller_codec import SensorDecoder

@@ -25,7 +25,7 @@ from service_cell import (
     stream,
 )
 
-from construction_twin.core.udp import bind
+from construction_twin.core.network import bind
 from construction_twin.core.units import CYCLE, format_allowance
 from construction_twin.mqtt.fast_client import TESTED_VERSIONS
 from construction_twin.mqtt.joint_string import JointStringCodec

@@ -17,7 +17,7 @@ from service_cell import (
     stream,
 )
 
-from construction_twin.core.udp import bind
+from construction_twin.core.network import bind
 from construction_twin.core.units import CYCLE
 from construction_twin.gateway.states import State
 from construction_twin.mock.faults import Fault

@@ -9,7 +9,7 @@ import yaml
 from processes import ROOT
 from tool_cell import LAYOUT, TOOL, ToolCell, switched_off_on_stop
 
-from construction_twin.controller.tool import ToolOutput
+from construction_twin.controller.port import ToolOutput
 from construction_twin.gateway.config import parse_config
 from construction_twin.robot.description import read_robot_files
 from construction_twin.ros.nodes.rsi_gateway import gateway_config

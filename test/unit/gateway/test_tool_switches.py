@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mock_cell import HOME
 from tool_cell import LAYOUT, TOOL, ToolCell, switched_off_on_stop
 
-from construction_twin.controller.tool import ToolReading
+from construction_twin.controller.port import ToolReading
 from construction_twin.core.units import CYCLE_NS, NANOSECONDS
 from construction_twin.gateway.gateway import State
 from construction_twin.gateway.tool_switches import (

@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 
-from construction_twin.controller.axis_unit import AxisUnit
+from construction_twin.controller.telegram import AxisUnit
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.controller import MockController
 from construction_twin.mock.servo import IdealServo

@@ -17,7 +17,7 @@ from processes import ROOT, free_port, listens, wait_until
 from service_cell import CONFIG
 from site_broker import Listener
 
-from construction_twin.core.udp import bind
+from construction_twin.core.network import bind
 from construction_twin.gateway.service import GatewayService
 from construction_twin.mqtt.client import OFFLINE, Broker, ConnectionLog, make_client
 from construction_twin.mqtt.messages import Topics

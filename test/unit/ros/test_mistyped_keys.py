@@ -21,7 +21,7 @@ from construction_twin.robot.tool import read_tool
 from construction_twin.robot.urdf import expand_xacro
 from construction_twin.ros.commands.experiment import ExperimentSettings
 from construction_twin.scenario.definition import make_scenario
-from construction_twin.scene.cell import load_cell
+from construction_twin.scene.neighbour import load_cell
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from construction_twin.controller.telegram import Reply, Telegram
 from construction_twin.core.errors import TelegramError
-from construction_twin.core.udp import MAX_TELEGRAM
+from construction_twin.core.network import MAX_TELEGRAM
 from construction_twin.core.units import radians
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder

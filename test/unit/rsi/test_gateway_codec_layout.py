@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from construction_twin.controller.axis_unit import AxisUnit
+from construction_twin.controller.telegram import AxisUnit
 from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder

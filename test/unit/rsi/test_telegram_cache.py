@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from construction_twin.controller.axis_unit import AxisUnit
-from construction_twin.controller.telegram import Telegram
+from construction_twin.controller.telegram import AxisUnit, Telegram
 from construction_twin.core.errors import TelegramError
 from construction_twin.rsi import gateway_codec as codec
 from construction_twin.rsi.controller_codec import RobotEncoder

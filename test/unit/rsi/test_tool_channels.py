@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from processes import ROOT
 
-from construction_twin.controller.tool import ToolReading
+from construction_twin.controller.port import ToolReading
 from construction_twin.core.errors import ConfigurationError, TelegramError
 from construction_twin.rsi.controller_codec import RobotEncoder, SensorDecoder
 from construction_twin.rsi.ethernet_xml import (
@@ -20,8 +20,7 @@ from construction_twin.rsi.ethernet_xml import (
     tool_channels,
 )
 from construction_twin.rsi.gateway_codec import RobotDecoder, SensorEncoder
-from construction_twin.rsi.layout import RsiLayout
-from construction_twin.rsi.tool_channels import ToolReader
+from construction_twin.rsi.layout import RsiLayout, ToolReader
 
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 ZERO = (0.0,) * 6

@@ -17,9 +17,8 @@ from construction_twin.planning.pipeline import PlanningPipeline
 from construction_twin.planning.planner import PlannerSettings
 from construction_twin.planning.recheck import CollisionError
 from construction_twin.ros.nodes.neighbour import NeighbourUnknownError
-from construction_twin.scene.cell import load_cell
 from construction_twin.scene.collision_bodies import RobotBodies
-from construction_twin.scene.neighbour import ROUNDING, STEP, Neighbour, key_rows
+from construction_twin.scene.neighbour import ROUNDING, STEP, Neighbour, key_rows, load_cell
 from construction_twin.scene.objects import Scene, SceneObject
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import rospy
 import yaml
 
-from construction_twin.controller.makes import DEFAULT, MODULES, make_of
+from construction_twin.controller.port import DEFAULT_MAKE, MODULES, make_of
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, command_message
 from construction_twin.core.files import check_writable, write_atomically
 from construction_twin.core.share import share_file, share_folder
@@ -59,7 +59,7 @@ def launch_text(values: Mapping[str, str], make: str) -> str:
         *(
             f'  <param name="$(arg robot)/{node}/make" value={quoteattr(make)}/>'
             for node in ("gateway", "mock_rsi")
-            if make != DEFAULT
+            if make != DEFAULT_MAKE
         ),
         "</launch>",
     ]
@@ -142,7 +142,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--name", default="", help="of the robot, in ROS and MQTT: [a-z0-9_] [the URDF's]")
     parser.add_argument("--xacro-args", default="", metavar="'NAME=VALUE ...'", help="arguments of the xacro")
     parser.add_argument(
-        "--controller-make", choices=tuple(MODULES), default=DEFAULT, help="its controller [%(default)s]"
+        "--controller-make", choices=tuple(MODULES), default=DEFAULT_MAKE, help="its controller [%(default)s]"
     )
     parser.add_argument("--output", type=Path, metavar="DIR", help="folder for the files [./NAME]")
     parser.add_argument(
@@ -193,7 +193,7 @@ def _write_files(options: argparse.Namespace, command: str) -> list[str]:
                 "robot_xacro_args": options.xacro_args,
                 "robot_config": f"$(dirname)/{files['robot_config'].name}",
                 "ethernet_xml": f"$(dirname)/{files['ethernet_xml'].name}" if make.file else "none",
-                **({"rsi_cycle": str(cycle)} if make.name != DEFAULT else {}),
+                **({"rsi_cycle": str(cycle)} if make.name != DEFAULT_MAKE else {}),
                 "scene": "none" if left_out else "$(find construction_twin)/config/scene.yaml",
             },
             make.name,

@@ -41,7 +41,7 @@ from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
 from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.plan_display import PlanDisplay
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
-from construction_twin.scene.cell import load_cell
+from construction_twin.scene.neighbour import load_cell
 from construction_twin.srv import PreviewPlan
 from construction_twin.views.texts import hold_cause
 

@@ -31,9 +31,8 @@ from construction_twin.ros.transport.joint_stream import from_time
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.publisher import AnyPublisher
 from construction_twin.ros.transport.subscriber import Subscriber
-from construction_twin.scene.cell import load_cell
 from construction_twin.scene.collision_world import CollisionWorld, Contact
-from construction_twin.scene.neighbour import Neighbour, Obstacle, key_rows
+from construction_twin.scene.neighbour import Neighbour, Obstacle, key_rows, load_cell
 from construction_twin.scene.objects import Scene, SceneObject
 from construction_twin.scene.self_collision import SelfCollision
 

@@ -12,8 +12,7 @@ import rosgraph
 import rospy
 
 from construction_twin.broker.start import ACCOUNTS
-from construction_twin.controller.makes import DEFAULT, make_of
-from construction_twin.controller.tool import GatewayTool, ToolOutput
+from construction_twin.controller.port import DEFAULT_MAKE, GatewayTool, ToolOutput, make_of
 from construction_twin.core.errors import ConfigurationError, PayloadError
 from construction_twin.core.files import write_atomically
 from construction_twin.gateway.command_line import check, read_arguments
@@ -40,7 +39,7 @@ def config_of_link(robot: RobotModel, settings: Mapping | None, needs_file: bool
     """Return the configuration of a robot's `gateway` parameters; a bare PLC needs no file of the controller's telegrams."""
     if settings is None:
         raise ConfigurationError(f"{robot.name}/gateway", None, "link settings, as launch/bringup.launch loads them")
-    form = make_of(settings.get("make", DEFAULT)).file
+    form = make_of(settings.get("make", DEFAULT_MAKE)).file
     if "ethernet_xml" not in settings and needs_file and form is not None:
         where = f"{robot.name}/gateway/ethernet_xml"
         raise ConfigurationError(where, None, f"the controller's {form.name}, as launch/bringup.launch loads it")
@@ -55,7 +54,7 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
     """
     axes = tuple(axis.name for axis in robot.axes)
     settings = dict(settings)
-    make = make_of(settings.pop("make", DEFAULT))
+    make = make_of(settings.pop("make", DEFAULT_MAKE))
     layout = settings["layout"] = make.layout_of(settings.pop("ethernet_xml", ""), axes)
     tool = settings.pop("tool", None)
     if tool and make.tool_channels(layout):
