@@ -213,7 +213,7 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     option("--robot-config", type=Path, default=share_file("config/kr120.yaml"), help="robot YAML [%(default)s]")
     option("--make", choices=tuple(MODULES), default=DEFAULT_MAKE, help="make of the controller [%(default)s]")
     option("--ethernet-xml", type=Path, metavar="FILE",
-           help=f"file that describes its telegrams; of {DEFAULT_MAKE} the Ethernet XML [of {DEFAULT_MAKE}: {_SHIPPED}]")  # fmt: skip
+           help=f"file that describes its telegrams; of {DEFAULT_MAKE} the Ethernet XML [{_SHIPPED}]")  # fmt: skip
     option("--tool", type=Path, metavar="FILE", help="tool file of the gripper that is simulated [none]")
     option(
         "--gateway",
