@@ -87,13 +87,10 @@ def settings(source: list[Path]) -> int:
     """Count the fields of the settings of nodes and commands: pydantic's models whose name ends with Settings."""
     classes = [node for path in source for node in nodes_of(path) if isinstance(node, ast.ClassDef)]
     models = [
-        kind for kind in classes if re.search("BaseModel|Settings|Behaviour", " ".join(map(ast.unparse, kind.bases)))
+        kind for kind in classes if re.search("BaseModel|StrictModel|Settings", " ".join(map(ast.unparse, kind.bases)))
     ]
     return sum(
-        isinstance(field, ast.AnnAssign)
-        for kind in models
-        if kind.name.endswith(("Settings", "Behaviour"))
-        for field in kind.body
+        isinstance(field, ast.AnnAssign) for kind in models if kind.name.endswith("Settings") for field in kind.body
     )
 
 

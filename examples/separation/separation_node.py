@@ -12,6 +12,7 @@ from distance_to_speed import SeparationLimit, SpeedTable
 from sensor_msgs.msg import Range
 
 from construction_twin.core.errors import PayloadError
+from construction_twin.core.validation import StrictModel
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis, NodeDiagnostics
 from construction_twin.ros.shared.node_shell import Interface, NodeIO, NodeShell, NodeTimer, Publication, Subscription
@@ -19,10 +20,8 @@ from construction_twin.ros.transport.joint_stream import from_time
 from construction_twin.ros.transport.publisher import AnyPublisher
 
 
-class Settings(pydantic.BaseModel):
+class Settings(StrictModel):
     """Private parameters; see config/separation.yaml."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     table: list[list[float]]
     deadline: float = pydantic.Field(gt=0)

@@ -172,7 +172,7 @@ def _replayed_plan(document: Mapping[str, Any]) -> str:
         folder = Path(name)
         pairs = folder / "self_collision.yaml"
         pairs.write_text(document["robot"]["self_collision"], encoding="utf-8")
-        settings = PlannerSettings.model_validate(document["settings"])
+        settings = PlannerSettings.read(document["settings"], "settings")
         pipeline = PlanningPipeline(robot, None, settings, read_self_collision(str(pairs), robot))
         request = document["request"]
         if request["method"] not in PlanningPipeline.METHODS:
@@ -187,7 +187,7 @@ def _replayed_plan(document: Mapping[str, Any]) -> str:
 
 def _replayed_hold(document: Mapping[str, Any]) -> str:
     robot = _robot(document["robot"])
-    settings = GateSettings.model_validate(document["settings"])
+    settings = GateSettings.read(document["settings"], "settings")
     gate = Gate(MotionLimits.of(robot), JointStringCodec.of(robot, document["decimals"]), settings)
     twin, physical = tuple(document["twin"]), tuple(document["physical"])
     opens = round(settings.agree_time * 250) + 10

@@ -1,4 +1,4 @@
-"""Sentences from pydantic's errors: key, value, what is allowed, and the key that was mistyped."""
+"""Strict models of files and parameters, and sentences from pydantic's errors: key, value, what is allowed, the key mistyped."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import difflib
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
+
+import pydantic
 
 from construction_twin.core.errors import ConfigurationError
 
@@ -54,8 +56,26 @@ class WrongValue:
         return f"{self.key}: found {'nothing' if self.value is None else repr(self.value)}, expected {self.expected}"
 
 
-def wrong_value(error: Any, schema: Schema) -> WrongValue:
-    """Return the first wrong value of a pydantic.ValidationError; `schema`: the model's."""
+_Model = TypeVar("_Model", bound="StrictModel")
+
+
+class StrictModel(pydantic.BaseModel):
+    """What a person writes into a file, or into parameters: an unknown key is refused."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    @classmethod
+    def read(cls: type[_Model], values: object, where: str = "") -> _Model:
+        """Return the model of a mapping; ConfigurationError names the first wrong key below `where`."""
+        try:
+            return cls.model_validate(values)
+        except pydantic.ValidationError as error:
+            wrong = wrong_value(error, cls.model_json_schema())
+            raise ConfigurationError("/".join(filter(None, (where, wrong.key))), wrong.value, wrong.expected) from error
+
+
+def wrong_value(error: pydantic.ValidationError, schema: Schema) -> WrongValue:
+    """Return the first wrong value; `schema`: the model's."""
     objects = list(_objects(schema))
     known = {name for each in objects for name in each.get("properties", ())}
     tags = {tag for each in objects for tag in _tags(each)} - known
@@ -71,12 +91,6 @@ def wrong_value(error: Any, schema: Schema) -> WrongValue:
     number = len({at for at, _ in problems})
     more = f" ({number} keys are wrong)" if number > 1 else ""
     return WrongValue(key, None if first["type"] == "missing" else first.get("input"), expected + more)
-
-
-def configuration_error(error: Any, model: Any, where: str = "") -> ConfigurationError:
-    """Convert a pydantic.ValidationError to a ConfigurationError."""
-    wrong = wrong_value(error, model.model_json_schema())
-    return ConfigurationError("/".join(filter(None, (where, wrong.key))), wrong.value, wrong.expected)
 
 
 def _objects(node: Any) -> Iterator[Mapping[str, Any]]:

@@ -23,7 +23,7 @@ from construction_twin.core.extensions import check_extras, import_extension
 from construction_twin.core.realtime import request_realtime
 from construction_twin.core.share import share_file
 from construction_twin.core.units import from_wire, to_wire
-from construction_twin.core.validation import configuration_error
+from construction_twin.core.validation import StrictModel
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.controller import ForwardKinematics, MockController
 from construction_twin.mock.gripper import Gripper
@@ -48,10 +48,8 @@ SERVO_OMEGA, SERVO_ZETA, RESOLUTION = 60.0, 0.8, math.radians(3e-5)
 TOOL_TIME = 0.2
 
 
-class AnotherArm(pydantic.BaseModel):
+class AnotherArm(StrictModel):
     """How the mock's arm differs from the model: what an operator may get wrong; it moves `RIst` alone."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     tool: _Frame = [0.0] * 6
     base: _Frame = [0.0] * 6
@@ -59,10 +57,8 @@ class AnotherArm(pydantic.BaseModel):
     longer: dict[str, _Number] = {}
 
 
-class MockSettings(pydantic.BaseModel):
+class MockSettings(StrictModel):
     """What can be set on the mock from outside; config/mock_rsi.yaml explains every key."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     gateway_host: str
     gateway_port: Annotated[int, pydantic.Field(ge=0, le=65535)] = 0
@@ -259,10 +255,7 @@ def checked_settings(options: dict) -> MockSettings:
         options["ethernet_xml"] = str(path)
     if "tool" in options:
         options["tool"] = read_tool(options["tool"]).tool.model_dump()
-    try:
-        return MockSettings(gateway_host=host, gateway_port=port, **options)
-    except pydantic.ValidationError as error:
-        raise configuration_error(error, MockSettings) from error
+    return MockSettings.read({"gateway_host": host, "gateway_port": port, **options})
 
 
 def main(argv: list[str] | None = None) -> int:

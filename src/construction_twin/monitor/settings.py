@@ -9,7 +9,7 @@ import yaml
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
-from construction_twin.core.validation import configuration_error
+from construction_twin.core.validation import StrictModel
 from construction_twin.monitor.comparison import ALIGNED, ComparisonSettings
 
 #: What may happen after a violation.
@@ -18,10 +18,8 @@ REPLAN, RESUME, STOP = "replan", "resume", "stop"
 _Threshold = Annotated[float, pydantic.Field(gt=0, le=1, strict=True)]
 
 
-class GateSettings(pydantic.BaseModel):
+class GateSettings(StrictModel):
     """Settings of the gate: the keys of config/pca_monitor.yaml, which explains each; SI."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     threshold: _Threshold = 0.01
     threshold_linear: _Threshold = 0.005
@@ -57,10 +55,7 @@ class GateSettings(pydantic.BaseModel):
             raise ConfigurationError("settings", text[:200], f"YAML ({' '.join(str(error).split())})") from error
         if not isinstance(changes, dict):
             raise ConfigurationError("settings", text, "a YAML mapping, e.g. {policy: resume}")
-        try:
-            return GateSettings.model_validate(self.model_dump() | changes)
-        except pydantic.ValidationError as error:
-            raise configuration_error(error, GateSettings) from error
+        return GateSettings.read(self.model_dump() | changes)
 
     def difference(self, other: GateSettings) -> str:
         """Return what other settings change, as words; empty when nothing."""

@@ -18,6 +18,7 @@ from construction_twin.core.freshness import Moment
 from construction_twin.core.limits import OUTSIDE
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
+from construction_twin.core.validation import StrictModel
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import Configuration, InverseKinematics
 from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
@@ -45,10 +46,8 @@ GOALS = 8
 DIRECT = "direct"
 
 
-class PlannerSettings(pydantic.BaseModel):
+class PlannerSettings(StrictModel):
     """The planner's settings; config/planner.yaml has their values (`shipped`)."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     planner: str
     planning_budget: Annotated[float, pydantic.Field(gt=0.0, le=600.0)]

@@ -10,7 +10,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pydantic
@@ -18,7 +18,7 @@ from urdf_parser_py.urdf import URDF, Joint
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import radians
-from construction_twin.core.validation import configuration_error
+from construction_twin.core.validation import StrictModel
 from construction_twin.robot.motion_errors import JointRangeError
 from construction_twin.robot.urdf import chain_joints, expand_xacro, parse_urdf, read_yaml, xacro_arguments
 
@@ -117,10 +117,8 @@ class RobotModel:
                 raise JointRangeError(joint, float(value), lower, upper, linear)
 
 
-class _JointDescription(pydantic.BaseModel):
+class _JointDescription(StrictModel):
     """The keys that revolute and prismatic joints have in common; see the comments in config/kr120.yaml for every key's meaning."""
-
-    model_config = pydantic.ConfigDict(extra="forbid")
 
     rsi: Annotated[str, pydantic.Field(pattern=r"^[AE][1-6]$")]
     sign: Literal[1, -1]
@@ -151,9 +149,7 @@ class _PrismaticJoint(_JointDescription):
         return tuple(mm / 1e3 for mm in (self.home_mm, self.acceleration_mm_s2, self.jerk_mm_s3, self.offset_mm))
 
 
-class _RobotDescription(pydantic.BaseModel):
-    model_config = pydantic.ConfigDict(extra="forbid")
-
+class _RobotDescription(StrictModel):
     name: Annotated[str, pydantic.Field(pattern=r"^[a-z][a-z0-9_]*$")]
     base_link: str
     tip_link: str
@@ -165,7 +161,7 @@ class _RobotDescription(pydantic.BaseModel):
 
 def load_robot(urdf: str, description: Mapping) -> RobotModel:
     """Build a robot, the movable joints from `base_link` to `tip_link`, from its URDF text and the mapping of its robot YAML."""
-    parsed = _validate(_RobotDescription, dict(description), "robot")
+    parsed = _RobotDescription.read(dict(description), "robot")
     model = parse_urdf(urdf)
     joints = [joint for joint in chain_joints(model, parsed.base_link, parsed.tip_link) if joint.joint_type != "fixed"]
     for joint in joints:
@@ -200,16 +196,6 @@ def read_robot_files(urdf_path: str | Path, yaml_path: str | Path, xacro_args: s
     if not isinstance(description, dict):
         raise ConfigurationError(str(yaml_path), description, "a mapping of the robot's keys")
     return load_robot(expand_xacro(urdf_path, xacro_arguments(xacro_args)), description)
-
-
-_Model = TypeVar("_Model", bound=pydantic.BaseModel)
-
-
-def _validate(model: type[_Model], values: Mapping, where: str) -> _Model:
-    try:
-        return model.model_validate(values)
-    except pydantic.ValidationError as error:
-        raise configuration_error(error, model, where) from error
 
 
 def check_joint(joint: Joint) -> None:
@@ -281,7 +267,7 @@ def _describe_joints(parsed: _RobotDescription, joints: Sequence[Joint]) -> list
     for joint in joints:
         kind: type[_RevoluteJoint | _PrismaticJoint]
         kind = _PrismaticJoint if joint.joint_type == "prismatic" else _RevoluteJoint
-        described.append(_validate(kind, parsed.joints[joint.name], f"robot/joints/{joint.name}"))
+        described.append(kind.read(parsed.joints[joint.name], f"robot/joints/{joint.name}"))
     rsi_axes = [joint.rsi for joint in described]
     for number, axis in enumerate(rsi_axes):
         if axis in rsi_axes[:number]:

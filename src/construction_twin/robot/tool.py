@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import pydantic
 
 from construction_twin.core.errors import ConfigurationError, system_message
-from construction_twin.core.validation import configuration_error
+from construction_twin.core.validation import StrictModel
 from construction_twin.robot.segments import Signal, Switch
 from construction_twin.robot.urdf import read_yaml
 
@@ -20,18 +20,14 @@ _Positive = Annotated[float, pydantic.Field(allow_inf_nan=False, gt=0.0, le=1e4)
 _Vector = tuple[_Finite, _Finite, _Finite]
 
 
-class _Strict(pydantic.BaseModel):
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
-
-
-class FilePose(_Strict):
+class FilePose(StrictModel):
     """A pose in a file: `xyz` [m], and turns about the fixed x, y and z axes, in this order."""
 
     xyz: _Vector
     rpy_deg: _Vector = (0.0, 0.0, 0.0)
 
 
-class ToolShape(_Strict):
+class ToolShape(StrictModel):
     """One body of the tool, in the flange's frame; keys as in config/scene.yaml."""
 
     shape: Literal["box", "cylinder", "sphere", "mesh"]
@@ -41,7 +37,7 @@ class ToolShape(_Strict):
     mesh: str = ""
 
 
-class Cups(_Strict):
+class Cups(StrictModel):
     """Suction cups at places in the plane of the TCP [m]; what one holds has the safety factor in it [kg]."""
 
     radius: _Positive
@@ -49,7 +45,7 @@ class Cups(_Strict):
     at: Annotated[tuple[tuple[_Finite, _Finite], ...], pydantic.Field(min_length=1)]
 
 
-class Output(_Strict):
+class Output(StrictModel):
     """One output: `on_stop`: what becomes of it when RSI ends or a reply is missed; `opens`: the value that lets a workpiece go."""
 
     on_stop: Literal["keep", "off"]
@@ -68,7 +64,7 @@ class Output(_Strict):
         return "off" if value is False else value
 
 
-class Action(_Strict):
+class Action(StrictModel):
     """What closes or opens the grip: outputs, and what the inputs must read afterwards within `timeout` [s]."""
 
     set: Annotated[dict[_Name, bool], pydantic.Field(min_length=1)]
@@ -84,7 +80,7 @@ class Action(_Strict):
         return tuple(Signal(name, value) for name, value in self.confirm.items())
 
 
-class Tool(_Strict):
+class Tool(StrictModel):
     """A tool. The keys of the file, each explained in config/tools/vacuum_frame.yaml."""
 
     name: _Name
@@ -147,7 +143,4 @@ def tool_hash(path: str | Path) -> str:
 
 def tool_of(description: object, where: str) -> Tool:
     """Parse the content of a tool file; ConfigurationError names `where` it is invalid."""
-    try:
-        return Tool.model_validate(description)
-    except pydantic.ValidationError as error:
-        raise configuration_error(error, Tool, where) from error
+    return Tool.read(description, where)

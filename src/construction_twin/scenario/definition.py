@@ -12,7 +12,7 @@ import pydantic
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.units import radians
-from construction_twin.core.validation import wrong_value
+from construction_twin.core.validation import StrictModel, wrong_value
 from construction_twin.mock.faults import KINDS
 
 _Positive = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
@@ -29,11 +29,7 @@ class ScenarioError(ConstructionTwinError):
     """A scenario cannot be read, run or judged."""
 
 
-class _Model(pydantic.BaseModel):
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
-
-
-class Injection(_Model):
+class Injection(StrictModel):
     """A fault that begins, or ends; fields as in InjectFault.srv, or `value_deg` in place of `value`.
 
     `end` in place of `on`: in YAML `on` is a boolean.
@@ -53,14 +49,14 @@ class Injection(_Model):
         return self.value or list(radians(self.value_deg))
 
 
-class Move(_Model):
+class Move(StrictModel):
     """A plan to joint angles [deg] that lasts `duration` [s], 0: at the planner's own speed."""
 
     goal_deg: Annotated[list[pydantic.FiniteFloat], pydantic.Field(min_length=1)]
     duration: _NotNegative = 0.0
 
 
-class Step(_Model):
+class Step(StrictModel):
     """One step of a scenario.
 
     Attributes:
@@ -92,14 +88,14 @@ class Step(_Model):
         return "move" if self.move else "approve" if self.approve else str(self.call)
 
 
-class StopBound(_Model):
+class StopBound(StrictModel):
     """From an event (``fault NAME``, ``call NAME``, ``sync STATE``) on the arm moves no further than this [deg]."""
 
     event: Annotated[str, pydantic.Field(pattern=r"^(fault|call|sync|execution) \S+$")]
     distance_deg: _Positive
 
 
-class Expectation(_Model):
+class Expectation(StrictModel):
     """The expected outcome; docs/scenarios.md explains every key."""
 
     sync: list[Annotated[str, pydantic.Field(pattern=r"^[A-Z_]+\??$")]]
@@ -114,7 +110,7 @@ class Expectation(_Model):
     refused: str | None = None
 
 
-class Scenario(_Model):
+class Scenario(StrictModel):
     """A scenario; `limit`: longest that all of it may take, from the first step to the end [s]."""
 
     name: Annotated[str, pydantic.Field(pattern=r"^[a-z0-9_]+$")]

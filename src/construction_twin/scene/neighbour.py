@@ -18,7 +18,7 @@ import pinocchio
 import pydantic
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.validation import wrong_value
+from construction_twin.core.validation import StrictModel, wrong_value
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.frames import rpy_to_rotation
@@ -30,9 +30,7 @@ _Metres = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=-1e4, le=1e4)]
 _Degrees = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=-360.0, le=360.0)]
 
 
-class _Place(pydantic.BaseModel):
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
-
+class _Place(StrictModel):
     xyz: tuple[_Metres, _Metres, _Metres]
     rpy_deg: tuple[_Degrees, _Degrees, _Degrees]
 

@@ -10,7 +10,7 @@ import pydantic
 import yaml
 
 from construction_twin.core.errors import system_message
-from construction_twin.core.validation import wrong_value
+from construction_twin.core.validation import StrictModel, wrong_value
 from construction_twin.robot.frames import rpy_to_quaternion
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.scene.objects import Scene, SceneObject
@@ -21,10 +21,8 @@ NONE = "none"
 _Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 
 
-class _ObjectDescription(pydantic.BaseModel):
+class _ObjectDescription(StrictModel):
     """One object in YAML: see the comments in config/scene.yaml."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     shape: Literal["box", "cylinder", "sphere", "mesh"]
     size: tuple[_Finite, ...] = ()
@@ -37,9 +35,7 @@ class _ObjectDescription(pydantic.BaseModel):
     fixed: bool = False
 
 
-class _SceneDescription(pydantic.BaseModel):
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
-
+class _SceneDescription(StrictModel):
     padding: _Finite
     objects: dict[str, _ObjectDescription]
 

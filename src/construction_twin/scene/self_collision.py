@@ -20,7 +20,7 @@ import pydantic
 from urdf_parser_py.urdf import URDF
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.validation import wrong_value
+from construction_twin.core.validation import StrictModel
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.urdf import parse_urdf, read_yaml
 from construction_twin.scene.collision_bodies import RobotBodies, configure_distances, shape_contents
@@ -29,10 +29,8 @@ from construction_twin.scene.collision_bodies import RobotBodies, configure_dist
 Pair = tuple[str, str]
 
 
-class PairFile(pydantic.BaseModel):
+class PairFile(StrictModel):
     """The YAML file; its comments explain the keys."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     robot: str
     geometry: Annotated[str, pydantic.Field(pattern="^[0-9a-f]{64}$")]
@@ -46,11 +44,7 @@ def read_pairs(path: str | Path) -> PairFile:
     description = read_yaml(path, " of self collision pairs")
     if not isinstance(description, dict):
         raise ConfigurationError(str(path), description, "a mapping with the keys that `self_collision` writes")
-    try:
-        return PairFile.model_validate(description)
-    except pydantic.ValidationError as error:
-        wrong = wrong_value(error, PairFile.model_json_schema())
-        raise ConfigurationError(f"{path} {wrong.key}", wrong.value, wrong.expected) from error
+    return PairFile.read(description, str(path))
 
 
 def adjacent_links(bodies: RobotBodies) -> set[frozenset[str]]:

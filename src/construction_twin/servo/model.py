@@ -19,7 +19,7 @@ import yaml
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.core.validation import configuration_error
+from construction_twin.core.validation import StrictModel
 
 #: A playout that is slower or faster than its stream by more than one part in so many does not move the arm as commanded.
 PACE = 20
@@ -163,10 +163,8 @@ class _Joint:
 _Number = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 
 
-class _FileJoint(pydantic.BaseModel):
+class _FileJoint(StrictModel):
     """One joint of the file; what was measured beside the servo is for people."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     omega: Annotated[float, pydantic.Field(gt=0, le=5000)]
     zeta: Annotated[float, pydantic.Field(gt=0, le=20)]
@@ -179,10 +177,8 @@ class _FileJoint(pydantic.BaseModel):
     residual_max: _Number = 0.0
 
 
-class _File(pydantic.BaseModel):
+class _File(StrictModel):
     """The whole file."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     cycle_ms: Annotated[int, pydantic.Field(ge=1, le=100, strict=True)]
     source: str = ""
@@ -198,10 +194,7 @@ def read_servos(path: str | Path, names: Sequence[str]) -> ServoModel:
     except (OSError, yaml.YAMLError, ValueError, RecursionError) as error:
         problem = f"YAML ({' '.join(str(error).split())})"
         raise ConfigurationError("servo_model", str(path), problem) from error
-    try:
-        file = _File.model_validate(content)
-    except pydantic.ValidationError as error:
-        raise configuration_error(error, _File) from error
+    file = _File.read(content)
     if set(file.joints) != set(names):
         expected = f"those of this arm: {', '.join(names)}"
         raise ConfigurationError("servo_model", ", ".join(file.joints), expected)

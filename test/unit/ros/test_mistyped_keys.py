@@ -7,13 +7,11 @@ import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import pydantic
 import pytest
 import yaml
 from scene_samples import kr120
 
 from construction_twin.core.errors import ConstructionTwinError
-from construction_twin.core.validation import configuration_error
 from construction_twin.extensions.work.process import read_recipes
 from construction_twin.extensions.work.work_cell import read_work_cell
 from construction_twin.robot.description import load_robot
@@ -62,10 +60,7 @@ def robot_yaml(path: Path) -> None:
 
 
 def experiment(path: Path) -> None:
-    try:
-        ExperimentSettings.model_validate(yaml.safe_load(path.read_text()) | {"results_dir": "/"})
-    except pydantic.ValidationError as error:
-        raise configuration_error(error, ExperimentSettings, str(path)) from error
+    ExperimentSettings.read(yaml.safe_load(path.read_text()) | {"results_dir": "/"}, str(path))
 
 
 READERS: dict[str, Callable[[Path], object]] = {

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 import pydantic
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.validation import configuration_error
+from construction_twin.core.validation import StrictModel
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.urdf import parse_urdf, read_yaml
 
@@ -22,11 +22,7 @@ _NotNegative = Annotated[float, pydantic.Field(ge=0.0, le=1e7, allow_inf_nan=Fal
 _Finite = Annotated[float, pydantic.Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
 
 
-class _Strict(pydantic.BaseModel):
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
-
-
-class PayloadRating(_Strict):
+class PayloadRating(StrictModel):
     """The payload permitted at the flange; None: unknown.
 
     Attributes:
@@ -68,7 +64,7 @@ class ArmDrives:
         return [f"of the arm these are estimates: {keys}; torques: {self.source}"] if keys else []
 
 
-class _Axis(_Strict):
+class _Axis(StrictModel):
     """One axis of the file; units in the keys are those of an axis that turns."""
 
     torque_nm: _Positive | None = None
@@ -77,7 +73,7 @@ class _Axis(_Strict):
     friction_nm: _NotNegative = 0.0
 
 
-class _DrivesFile(_Strict):
+class _DrivesFile(StrictModel):
     robot: str
     source: str
     joints: dict[str, _Axis]
@@ -97,10 +93,7 @@ def read_drives(path: str | Path, robot: RobotModel) -> ArmDrives:
     if not Path(path).is_file():
         return drives_of(robot)
     where = str(path)
-    try:
-        read = _DrivesFile.model_validate(read_yaml(path))
-    except pydantic.ValidationError as error:
-        raise configuration_error(error, _DrivesFile, where) from error
+    read = _DrivesFile.read(read_yaml(path), where)
     if set(read.joints) != set(robot.joint_names):
         expected = f"one entry for each of {list(robot.joint_names)}"
         raise ConfigurationError(f"{where}/joints", sorted(read.joints), expected)

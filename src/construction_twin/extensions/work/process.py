@@ -19,7 +19,7 @@ import pydantic
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
-from construction_twin.core.validation import configuration_error
+from construction_twin.core.validation import StrictModel
 from construction_twin.extensions.work.building import Element, Task, Value, WorkError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.work_segment import WorkSegment
@@ -41,13 +41,7 @@ Scale = Annotated[float, pydantic.Field(gt=0.0, le=1.0)]
 _Property = Annotated[str, pydantic.Field(pattern=r"^[^.]+\.[^.]+$")]
 
 
-class Strict(pydantic.BaseModel):
-    """A part of a recipe: an unknown key is refused."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
-
-
-class Match(Strict):
+class Match(StrictModel):
     """What an element must be, all of it; names are patterns with ``*`` and ``?``, `elements` GlobalIds or whole names."""
 
     ifc_class: tuple[str, ...] = ()
@@ -78,7 +72,7 @@ def _holds(properties: Mapping[str, Mapping[str, Value]], path: str, value: bool
     return found == value and isinstance(found, bool) == isinstance(value, bool)
 
 
-class Recipe(Strict):
+class Recipe(StrictModel):
     """How elements of one kind are worked on.
 
     `speed`: on straight ways [m/s]. `free_speed_scale`: on free ways. `penetration`: of bodies that may touch [m].
@@ -239,17 +233,14 @@ class Recipes:
         raise TaskPlanningError(job.task, f"no recipe of {self.file} fits {job.label}, {kind}; {to_do}")
 
 
-class _File(Strict):
+class _File(StrictModel):
     recipes: Annotated[dict[str, dict[str, Any]], pydantic.Field(min_length=1)]
 
 
 def read_recipes(path: str | Path) -> Recipes:
     """Read a recipes file."""
     description = read_yaml(path, " of recipes, as config/work/recipes.yaml")
-    try:
-        entries = _File.model_validate(description).recipes
-    except pydantic.ValidationError as error:
-        raise configuration_error(error, _File, str(path)) from error
+    entries = _File.read(description, str(path)).recipes
     return Recipes(str(path), {name: _recipe(f"{path}/recipes/{name}", entry) for name, entry in entries.items()})
 
 
@@ -257,11 +248,7 @@ def _recipe(where: str, entry: dict[str, Any]) -> Recipe:
     process = entry.get("process", DEFAULT)
     if process not in list(MODULES):
         raise ConfigurationError(f"{where}/process", process, f"one of {', '.join(MODULES)}")
-    recipe = process_of(process).recipe
-    try:
-        return recipe.model_validate(entry)
-    except pydantic.ValidationError as error:
-        raise configuration_error(error, recipe, where) from error
+    return process_of(process).recipe.read(entry, where)
 
 
 def _wrong(job: WorkJob, name: str, value: object, expected: str) -> TaskPlanningError:

@@ -10,8 +10,8 @@ import numpy as np
 import pydantic
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.validation import configuration_error
-from construction_twin.extensions.work.process import Finite, Match, Recipes, Strict, read_recipes
+from construction_twin.core.validation import StrictModel
+from construction_twin.extensions.work.process import Finite, Match, Recipes, read_recipes
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_rotation
 from construction_twin.robot.tool import FilePose, ToolFile, read_tool
@@ -24,7 +24,7 @@ _Step = Annotated[float, pydantic.Field(allow_inf_nan=False, gt=0.0, le=100.0)]
 _RackName = Annotated[str, pydantic.Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
 
 
-class _Rack(Strict):
+class _Rack(StrictModel):
     """Slots, `poses` in the rack's frame: where the middle of the underside of an element's box stands."""
 
     holds: Match = Match()
@@ -66,7 +66,7 @@ class StackRack(_Rack):
 Rack = Annotated[GridRack | StackRack, pydantic.Field(discriminator="kind")]
 
 
-class CellFile(Strict):
+class CellFile(StrictModel):
     """The keys of a cell file, explained in config/work/timber_panel.yaml."""
 
     tool: str
@@ -96,10 +96,7 @@ class WorkCell:
 def read_work_cell(path: str | Path) -> WorkCell:
     """Read a cell file and the files that it names."""
     description = read_yaml(path, " of a cell, as config/work/timber_panel.yaml")
-    try:
-        cell = CellFile.model_validate(description)
-    except pydantic.ValidationError as error:
-        raise configuration_error(error, CellFile, str(path)) from error
+    cell = CellFile.read(description, str(path))
     folder = Path(path).resolve().parent
     tool, recipes = read_tool(folder / cell.tool), read_recipes(folder / cell.recipes)
     recipes.check_tool(tool.tool)

@@ -15,6 +15,7 @@ from rich.console import Console
 from construction_twin.core.errors import ConstructionTwinError, command_message
 from construction_twin.core.files import check_writable
 from construction_twin.core.units import from_wire
+from construction_twin.core.validation import StrictModel
 from construction_twin.evaluation.bag import read_recording
 from construction_twin.evaluation.report import Report, write_report
 from construction_twin.evaluation.tables import render_tables, table_console
@@ -25,7 +26,7 @@ from construction_twin.ros.commands.evaluate import print_files
 from construction_twin.ros.shared.diagnostics import warn_of_refusals
 from construction_twin.ros.shared.master import await_master
 from construction_twin.ros.shared.node import ending_on_signals
-from construction_twin.ros.shared.params import Parameters, PrivateSettings, read_parameters, robot_from_parameters
+from construction_twin.ros.shared.params import Parameters, read_parameters, robot_from_parameters
 from construction_twin.ros.transport.subscriber import Subscriber
 
 #: The bridge reports the gateway's counters this often [s]; the recording goes on until they include the task's end.
@@ -36,7 +37,7 @@ REST_TOLERANCE, REST_TIME = 1e-6, 0.5
 _Positive = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
 
 
-class ExperimentSettings(PrivateSettings):
+class ExperimentSettings(StrictModel):
     """Private parameters; see config/experiment.yaml. `results_dir` is an absolute path."""
 
     results_dir: Annotated[str, pydantic.Field(pattern=r"^[/~]")]

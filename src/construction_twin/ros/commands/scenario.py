@@ -28,6 +28,7 @@ from construction_twin.core.errors import ConfigurationError, ConstructionTwinEr
 from construction_twin.core.extensions import node_modules
 from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
+from construction_twin.core.validation import StrictModel
 from construction_twin.evaluation.bag import (
     ARM,
     EXECUTION,
@@ -49,7 +50,7 @@ from construction_twin.ros.commands.driver import CellDriver, RestDetector
 from construction_twin.ros.shared.diagnostics import warn_of_refusals
 from construction_twin.ros.shared.master import await_master
 from construction_twin.ros.shared.node import ending_on_signals
-from construction_twin.ros.shared.params import Parameters, PrivateSettings, robot_from_parameters, settings_of
+from construction_twin.ros.shared.params import Parameters, robot_from_parameters
 from construction_twin.ros.transport.persistent_service import PersistentService
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.scenario.definition import STATES, Injection, Move, Scenario, ScenarioError, Step, make_scenario
@@ -92,7 +93,7 @@ _READY = 60.0
 _REST_BAND, _REST_TIME = 1e-6, 0.4
 
 
-class ScenarioSettings(PrivateSettings):
+class ScenarioSettings(StrictModel):
     """What the launch file gives beside the scenario itself: `results_dir` and `trace` are absolute paths."""
 
     name: Annotated[str, pydantic.Field(pattern=r"^[a-z0-9_]+$")]
@@ -371,7 +372,7 @@ def checked_parameters(parameters: Parameters = rospy) -> tuple[ScenarioSettings
     """Return the node's settings and its scenario; ConstructionTwinError refuses its start."""
     content = parameters.get_param("~", {})
     given = {name: content.pop(name) for name in ScenarioSettings.model_fields if name in content}
-    settings = settings_of(ScenarioSettings, given, parameters.get_name())
+    settings = ScenarioSettings.read(given, parameters.get_name())
     make_scenario(settings.name, content)
     known = {*node_modules(), "scenario", "gateway", "separation"}
     for name in yaml.safe_load(Path(settings.file).read_text(encoding="utf-8")):

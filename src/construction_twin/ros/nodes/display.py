@@ -22,6 +22,7 @@ from visualization_msgs.msg import MarkerArray
 
 from construction_twin.core.reports import HoldReport
 from construction_twin.core.units import NANOSECONDS
+from construction_twin.core.validation import StrictModel
 from construction_twin.kinematics.chain import Chain, Pose, to_frame, to_kdl
 from construction_twin.monitor.states import SyncState
 from construction_twin.msg import Execution, Hold, Plan, Rehearsal, Review, Scene, Sync
@@ -38,7 +39,6 @@ from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.messages.scene_convert import tf_frame
 from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
-from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.plan_display import PlanDisplay
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.scene.neighbour import load_cell
@@ -66,7 +66,7 @@ Shown = TypeVar("Shown")
 TREES = ("physical", "preview", "simulated", "expected")
 
 
-class Settings(PrivateSettings):
+class Settings(StrictModel):
     """Private parameters, given in launch/bringup.launch: launch arguments of these names."""
 
     arm: Literal["mock", "real", "none"]

@@ -26,7 +26,7 @@ from construction_twin.ros.messages.records import with_sentences
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
-from construction_twin.ros.shared.params import NodeSettings, robot_from_parameters, settings_of
+from construction_twin.ros.shared.params import NodeSettings, robot_from_parameters
 from construction_twin.ros.transport.joint_stream import from_time
 from construction_twin.ros.transport.latest_pose import LatestPose
 from construction_twin.ros.transport.publisher import AnyPublisher
@@ -237,7 +237,7 @@ def neighbour_obstacles(robot: RobotModel, refuse: Refuse) -> Callable[[], list[
     values = rospy.get_param("neighbour", None)
     if values is None:
         return None
-    settings = settings_of(NeighbourSettings, values, rospy.resolve_name("neighbour"))
+    settings = NeighbourSettings.read(values, rospy.resolve_name("neighbour"))
     await_robot(settings.name)
     other = listen_to_other_arm(robot.name, settings, refuse)
     return lambda: [item.padded(settings.padding) for item in other.occupied().obstacles]

@@ -20,6 +20,7 @@ from construction_twin.core.limits import MotionLimits
 from construction_twin.core.reports import HoldReport, SpeedChange
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
+from construction_twin.core.validation import StrictModel
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.speed_limits import NOBODY, UNKNOWN, SpeedLimits, read_people, write_people
 from construction_twin.monitor.gate import Cause, Gate
@@ -32,7 +33,7 @@ from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.services import Outcome
 from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, DeferredLog, Diagnosis
-from construction_twin.ros.shared.params import NodeSettings, SavedParameter, robot_file, ros_home, settings_of
+from construction_twin.ros.shared.params import NodeSettings, SavedParameter, robot_file, ros_home
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.servo.model import read_servos
@@ -71,7 +72,7 @@ class Settings(NodeSettings, GateSettings):
         return given
 
 
-class SilenceRules(pydantic.BaseModel):
+class SilenceRules(StrictModel, extra="ignore"):
     """Parameters of executor or gateway about a source that falls silent; see config/executor.yaml."""
 
     speed_limit_deadline: float = pydantic.Field(GatewayConfig.speed_limit_deadline, gt=0)
@@ -90,7 +91,7 @@ class SpeedLimitService:
         rule_parameters = {
             name: node_io.parameters[name] for name in ("executor", "gateway") if node_io.parameters[name] is not None
         }
-        rules = [settings_of(SilenceRules, given, rospy.resolve_name(name)) for name, given in rule_parameters.items()]
+        rules = [SilenceRules.read(given, rospy.resolve_name(name)) for name, given in rule_parameters.items()]
         deadline = min(each.speed_limit_deadline for each in rules)
         silent = min(each.speed_limit_silent for each in rules)
         program = SpeedLimit(deadline, silent, rules[0].speed_limit_required)

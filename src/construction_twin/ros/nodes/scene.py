@@ -20,7 +20,7 @@ from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
 from construction_twin.core.extensions import ExtensionAbsent, import_extension
 from construction_twin.core.files import read_file, write_atomically
-from construction_twin.core.validation import wrong_value
+from construction_twin.core.validation import StrictModel, wrong_value
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.ros.messages.convert import pose_from_msg
@@ -29,7 +29,7 @@ from construction_twin.ros.messages.services import Outcome
 from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
 from construction_twin.ros.shared.frames import FRAMES, listen_to_frames
-from construction_twin.ros.shared.params import PrivateSettings, ros_home
+from construction_twin.ros.shared.params import ros_home
 from construction_twin.ros.transport.publisher import AnyPublisher
 from construction_twin.scene.collision_bodies import RobotBodies
 from construction_twin.scene.collision_world import CollisionWorld
@@ -52,10 +52,8 @@ _RUN = "/run_id"
 _LARGEST = 32 * 2**20
 
 
-class _File(pydantic.BaseModel):
+class _File(StrictModel):
     """The scene after the last edit of one run that began with one scene."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
     run: Annotated[str, pydantic.Field(min_length=1)]
     start: str
@@ -180,7 +178,7 @@ def lasting_contacts(world: CollisionWorld) -> list[LastingContact]:
     return found
 
 
-class Settings(PrivateSettings):
+class Settings(StrictModel):
     """Private parameters, given in launch/bringup.launch; `scene` ``none`` or empty: no objects, no padding."""
 
     scene: str

@@ -18,11 +18,11 @@ import rospy
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.share import share_folder
+from construction_twin.core.validation import StrictModel
 from construction_twin.msg import Feedback, Scene, StartRefused
 from construction_twin.robot.description import RobotModel, other_joints_text
 from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Diagnosis, warn_of_refusals
-from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.robot_client import REPORTS, RobotListener
 from construction_twin.ros.shared.start_refusal import RESTART_DELAY, TOPIC, launch_id
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
@@ -40,7 +40,7 @@ ADDRESS_TIME = 2.0
 FEEDBACK, TWIN, SCENE = "physical/feedback", "twin/joint_states", "scene"
 
 
-class Settings(PrivateSettings):
+class Settings(StrictModel):
     """Private parameters, given in launch/bringup.launch: see `startup.Deployment`."""
 
     arm: Literal["mock", "real", "none"]

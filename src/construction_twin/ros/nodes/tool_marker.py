@@ -27,6 +27,7 @@ from visualization_msgs.msg import (
 )
 
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError, RequestRefused
+from construction_twin.core.validation import StrictModel
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.link.requests import GoalRequest, ReviewRequest
@@ -40,7 +41,6 @@ from construction_twin.ros.messages.scene_convert import scene_from_msg, tf_fram
 from construction_twin.ros.messages.services import Outcome, pose_fields
 from construction_twin.ros.shared import node_shell as shell
 from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
-from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.shared.robot_client import REPORTS, OperatorClient, RobotListener
 from construction_twin.ros.transport.subscriber import PUBLISHER, caller_of
 from construction_twin.scene.collision_world import CollisionWorld
@@ -237,7 +237,7 @@ _HALF = math.sqrt(0.5)
 _AXES = {"x": (_HALF, 0.0, 0.0, _HALF), "y": (0.0, 0.0, _HALF, _HALF), "z": (0.0, _HALF, 0.0, _HALF)}
 
 
-class Settings(PrivateSettings):
+class Settings(StrictModel):
     """Private parameters: behaviour in config/tool_marker.yaml; `self_collision`, `tf_prefix` in the launch file."""
 
     scale: Annotated[float, pydantic.Field(gt=0.0, allow_inf_nan=False)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,39 +13,24 @@ import rospy
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.core.validation import configuration_error
+from construction_twin.core.validation import StrictModel
 from construction_twin.robot.description import RobotModel, load_robot
 
-Settings = TypeVar("Settings", bound=pydantic.BaseModel)
-
+Settings = TypeVar("Settings", bound=StrictModel)
 
 #: Where a node's parameters are: `rospy`, or what a launch file would set, with `get_name` and `get_param`.
 Parameters = Any
 
 
-class PrivateSettings(pydantic.BaseModel):
-    """Private parameters of a node: a misspelt key is an error, not a silent default."""
-
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
-
-
-class NodeSettings(PrivateSettings):
+class NodeSettings(StrictModel):
     """Private parameters of a node on the 250 Hz path; SCHED_FIFO priority where the system permits it, 0: none."""
 
     realtime_priority: int = pydantic.Field(0, ge=0, le=99)
 
 
-def settings_of(model: type[Settings], values: Mapping[str, object], where: str = "") -> Settings:
-    """Return values as a model has them; ConfigurationError naming the key, and `where` it stands."""
-    try:
-        return model.model_validate(values)
-    except pydantic.ValidationError as error:
-        raise configuration_error(error, model, where) from error
-
-
 def read_parameters(model: type[Settings], parameters: Parameters = rospy) -> Settings:
-    """Return the node's private parameters; raises like `settings_of`."""
-    return settings_of(model, parameters.get_param("~", {}))
+    """Return the node's private parameters; raises like `StrictModel.read`."""
+    return model.read(parameters.get_param("~", {}))
 
 
 def robot_from_parameters(namespace: str = "", parameters: Parameters = rospy) -> RobotModel:

@@ -26,6 +26,7 @@ import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.files import write_atomically
+from construction_twin.core.validation import StrictModel
 from construction_twin.extensions.physics.drive import ArmDrives, read_drives
 from construction_twin.extensions.physics.mass import (
     FRICTION,
@@ -43,7 +44,7 @@ from construction_twin.robot.packages import Packages
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.diagnostics import ERROR, WARN, Diagnosis
 from construction_twin.ros.shared.node_shell import Interface, NodeIO, NodeShell, Shared, Subscription
-from construction_twin.ros.shared.params import PrivateSettings, ros_home
+from construction_twin.ros.shared.params import ros_home
 from construction_twin.scene.collision_bodies import Body, RobotBodies, mesh_triangles
 from construction_twin.scene.objects import Scene
 
@@ -278,7 +279,7 @@ def _name(name: str) -> str:
     return "".join(one if one.isalnum() else "_" for one in name).strip("_") or "unnamed"
 
 
-class Settings(PrivateSettings):
+class Settings(StrictModel):
     """Private parameters, given in launch/bringup.launch.
 
     Attributes:

@@ -17,6 +17,7 @@ import rospy
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.extensions import check_extras
 from construction_twin.core.sentences import Sentence
+from construction_twin.core.validation import StrictModel
 from construction_twin.core.worker import Worker
 from construction_twin.extensions.physics.drive import read_drives
 from construction_twin.extensions.physics.known_mass import element_masses, tool_mass
@@ -35,7 +36,6 @@ from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.scene_convert import scene_from_msg
 from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis
 from construction_twin.ros.shared.node_shell import Interface, NodeIO, NodeShell, Publication, Shared, Subscription
-from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_change import SceneChange
@@ -51,7 +51,7 @@ _KEPT = 12
 _AWAKE = 0.5
 
 
-class Settings(PrivateSettings):
+class Settings(StrictModel):
     """Private parameters; see config/rehearsal.yaml and launch/bringup.launch.
 
     Attributes:

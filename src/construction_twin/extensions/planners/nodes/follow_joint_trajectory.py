@@ -18,6 +18,7 @@ import pydantic
 import rospy
 from actionlib import ServerGoalHandle
 
+from construction_twin.core.validation import StrictModel
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.extensions.planners.goal_states import GoalState
 from construction_twin.extensions.planners.joint_tolerances import GoalError, GoalJointsError, Tolerances
@@ -59,7 +60,6 @@ from construction_twin.ros.shared.node_shell import (
     Subscription,
     has_arm,
 )
-from construction_twin.ros.shared.params import PrivateSettings
 from construction_twin.ros.transport.joint_stream import from_time
 from construction_twin.ros.transport.persistent_service import NO_ANSWER
 from construction_twin.ros.transport.subscriber import caller_of
@@ -82,7 +82,7 @@ PLANNER_TIMEOUT = 10.0
 Tolerance = Annotated[float, pydantic.Field(ge=0.0, allow_inf_nan=False)]
 
 
-class Settings(PrivateSettings):
+class Settings(StrictModel):
     """Private parameters; see config/follow_joint_trajectory.yaml, `arm` is given in launch/bringup.launch."""
 
     arm: Literal["mock", "real", "none"]

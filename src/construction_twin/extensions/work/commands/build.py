@@ -17,6 +17,7 @@ from construction_twin.core.errors import ConfigurationError, ConstructionTwinEr
 from construction_twin.core.files import check_writable
 from construction_twin.core.records import json_value, to_json
 from construction_twin.core.reports import WorkReport
+from construction_twin.core.validation import StrictModel
 from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.msg import Execution, Link, Sync, ToolState, WorkTask, WorkTasks
 from construction_twin.robot.tool import read_tool
@@ -24,7 +25,7 @@ from construction_twin.ros.commands.experiment import point_latest
 from construction_twin.ros.messages.records import from_msg
 from construction_twin.ros.shared.diagnostics import warn_of_refusals
 from construction_twin.ros.shared.node import ending_on_signals
-from construction_twin.ros.shared.params import Parameters, PrivateSettings, read_parameters
+from construction_twin.ros.shared.params import Parameters, read_parameters
 from construction_twin.ros.shared.robot_client import OperatorClient
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import WorkDecide
@@ -36,7 +37,7 @@ _MOST_PLANS = 5
 _TOPICS = {"work/tasks": WorkTasks, "execution": Execution, "link": Link, "sync": Sync, "tool": ToolState}
 
 
-class Settings(PrivateSettings):
+class Settings(StrictModel):
     """Private parameters, given in launch/build.launch: path of the tool file, most tasks (0: all), longest wait [s]."""
 
     results_dir: str

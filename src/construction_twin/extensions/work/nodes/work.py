@@ -18,6 +18,7 @@ from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, RequestRefused
 from construction_twin.core.extensions import check_extras, import_extension
 from construction_twin.core.reports import EngagementReport, ExecutionReport
+from construction_twin.core.validation import StrictModel
 from construction_twin.core.worker import Worker
 from construction_twin.extensions.work.loaded_model import WORKER, LoadedModel, glb
 from construction_twin.extensions.work.received_messages import KnownPlan, Received, Verdict
@@ -52,7 +53,7 @@ from construction_twin.ros.shared.node_shell import (
     Subscription,
     has_arm,
 )
-from construction_twin.ros.shared.params import PrivateSettings, robot_file, ros_home
+from construction_twin.ros.shared.params import robot_file, ros_home
 from construction_twin.scene.objects import product
 from construction_twin.scene.scene_change import SceneChange
 
@@ -62,7 +63,7 @@ RECORD = "executor/review_file"
 MAX_POSE_AGE = 0.5
 
 
-class Settings(PrivateSettings):
+class Settings(StrictModel):
     """Private parameters, explained in config/work.yaml and launch/bringup.launch.
 
     `private`: folder that a console serves to whom is logged in, relative to ROS_HOME; empty: no console.

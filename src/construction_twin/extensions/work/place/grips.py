@@ -18,8 +18,9 @@ import shapely
 from scipy.spatial import ConvexHull, QhullError
 
 from construction_twin.core.errors import ConfigurationError
+from construction_twin.core.validation import StrictModel
 from construction_twin.extensions.work.element_bodies import ElementPieces
-from construction_twin.extensions.work.process import Finite, Length, Recipe, Scale, Strict, TaskPlanningError, WorkJob
+from construction_twin.extensions.work.process import Finite, Length, Recipe, Scale, TaskPlanningError, WorkJob
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import Cups, Tool
 
@@ -39,7 +40,7 @@ def _not_zero(asked: str | tuple[float, float, float]) -> str | tuple[float, flo
 Direction = Annotated[_Axis | tuple[Finite, Finite, Finite], pydantic.AfterValidator(_not_zero)]
 
 
-class Grips(Strict):
+class Grips(StrictModel):
     """Where an element may be gripped; lengths in m."""
 
     faces: Annotated[tuple[_Face, ...], pydantic.Field(min_length=1)] = ("up",)
@@ -54,7 +55,7 @@ class Grips(Strict):
     beside: tuple[str, ...] = ()
 
 
-class Stock(Strict):
+class Stock(StrictModel):
     """How the element is fetched; lengths in m."""
 
     approach: Length = 0.1
@@ -62,7 +63,7 @@ class Stock(Strict):
     lengths: Annotated[tuple[Length, ...], pydantic.Field(min_length=1)] = (0.1,)
 
 
-class Place(Strict):
+class Place(StrictModel):
     """How the element is set down; lengths in m."""
 
     arrive: Annotated[tuple[Direction, ...], pydantic.Field(min_length=1)] = ("up",)
