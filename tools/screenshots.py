@@ -434,10 +434,9 @@ BY_NAME = {"gazebo"}
 @contextmanager
 def system(launch: tuple[str, ...], folder: Path):
     """Run a launch file on a master, broker and RSI ports of its own; yield the environment for its clients."""
-    tcp, udp = [free_port() for _ in range(2)], [free_port(socket.SOCK_DGRAM) for _ in range(2)]
+    tcp, udp = [free_port() for _ in range(2)], free_port(socket.SOCK_DGRAM)
     environment = os.environ | {"ROS_MASTER_URI": f"http://127.0.0.1:{tcp[0]}", "ROS_HOME": str(folder / "ros_home")}
-    numbers = ("_1", "_2") if launch[0] == "two_robots.launch" else ("",)
-    ports = [f"broker_port:={tcp[1]}", *(f"rsi_port{number}:={port}" for number, port in zip(numbers, udp))]
+    ports = [f"broker_port:={tcp[1]}", f"rsi_port:={udp}"]
     shipped = (ROOT / "config/console.yaml").read_text()
     (folder / "console.yaml").write_text(shipped.replace("port: 8480", f"port: {CONSOLE_PORT}"))
     words = [word.format(folder=folder) for word in launch]
