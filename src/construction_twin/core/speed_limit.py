@@ -89,10 +89,10 @@ class SpeedLimit:
 
     def _sentence(self, state: LimitState, limit: float) -> str:
         if state is LimitState.UNLIMITED:
-            return Sentence("no speed limit: no source of `speed_limit` was heard")
+            return Sentence("no speed limit: no source of `speed_limit` has sent one")
         if state is LimitState.MISSING:
             return Sentence(
-                "speed limit {limit:g}: none was heard, and one is required; start a source of `speed_limit`",
+                "speed limit {limit:g}: none has come, and one is required; start a source of `speed_limit`",
                 limit=limit,
             )
         if state is LimitState.FRESH:
