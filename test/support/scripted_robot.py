@@ -42,7 +42,7 @@ from construction_twin.link.requests import (
     Override,
     RaiseSpeed,
     StampedButtonPress,
-    Verdict,
+    VerdictMessage,
     read,
     read_document,
     read_goal,
@@ -381,13 +381,13 @@ class ScriptedRobot:
         self._publish(self._topics.ack_of(kind), payload)
 
     def _on_review(self, account: str, payload: bytes, retained: bool) -> None:
-        self._on_verdict(requests.REVIEW, Verdict, account, payload, retained)
+        self._on_verdict(requests.REVIEW, VerdictMessage, account, payload, retained)
 
     def _on_override(self, account: str, payload: bytes, retained: bool) -> None:
         self._on_verdict(requests.OVERRIDE, Override, account, payload, retained)
 
     def _on_verdict(
-        self, kind: RequestKind, model: type[Verdict], account: str, payload: bytes, retained: bool
+        self, kind: RequestKind, model: type[VerdictMessage], account: str, payload: bytes, retained: bool
     ) -> None:
         try:
             review = read_message(model, kind, payload, retained).review_by(account)

@@ -156,7 +156,7 @@ class ReviewRequest:
         verdict: ``approved`` or ``rejected``.
         reviewer: On record: the topic's account, and only without one what the message says.
         account: The topic's, which a site's broker has checked; "" on `review`.
-        says: Another name in an account's message; proves nothing.
+        claimed_name: Another name in an account's message; unproven.
         rehearsal_hash: Of an override: of the result as the person saw it; "": there was none.
     """
 
@@ -166,7 +166,7 @@ class ReviewRequest:
     reviewer: str
     reason: str = ""
     account: str = ""
-    says: str = ""
+    claimed_name: str = ""
     moment: str = ""
     override_rehearsal: bool = False
     rehearsal_hash: str = ""
@@ -179,11 +179,11 @@ class ReviewRequest:
     @property
     def recorded_reason(self) -> str:
         """The reviewer's reason on record, marked as received by MQTT."""
-        who = f"by MQTT, which says it is {self.says!r}" if self.says else "by MQTT"
+        who = f"by MQTT, which says it is {self.claimed_name!r}" if self.claimed_name else "by MQTT"
         return f"{who}: {self.reason}" if self.reason else who
 
 
-class Verdict(Request):
+class VerdictMessage(Request):
     """A message on `review/<account>`; an approval repeats its moment."""
 
     plan_id: Name
@@ -194,25 +194,25 @@ class Verdict(Request):
     moment: Text = ""
 
     @pydantic.model_validator(mode="after")
-    def _check_moment(self) -> Verdict:
+    def _check_moment(self) -> VerdictMessage:
         if self.verdict == "approved":
             parse_moment(self.moment)
         return self
 
     def review_by(self, account: str) -> ReviewRequest:
         """Return the verdict on record; without an account under the name in the message."""
-        says = self.reviewer if account and self.reviewer != account else ""
-        names = {"reviewer": account or self.reviewer, "account": account, "says": says}
+        claimed = self.reviewer if account and self.reviewer != account else ""
+        names = {"reviewer": account or self.reviewer, "account": account, "claimed_name": claimed}
         return ReviewRequest(**dict(self) | names, override_rehearsal=isinstance(self, Override))
 
 
-class NamelessVerdict(Verdict):
+class NamelessVerdict(VerdictMessage):
     """A message on `review`."""
 
     reviewer: Name
 
 
-class Override(Verdict):
+class Override(VerdictMessage):
     """A message on `override_rehearsal/<account>`, with the hash of the result that was seen; "": there was none."""
 
     verdict: Literal["approved"]

@@ -23,7 +23,7 @@ from construction_twin.link.requests import (
     Override,
     RaiseSpeed,
     ReviewRequest,
-    Verdict,
+    VerdictMessage,
     read,
     read_document,
     read_goal,
@@ -134,7 +134,7 @@ def payload(**changes) -> bytes:
 
 
 def review(data: bytes, account: str = "", retained: bool = False) -> ReviewRequest:
-    return read_message(Verdict if account else NamelessVerdict, REVIEW, data, retained).review_by(account)
+    return read_message(VerdictMessage if account else NamelessVerdict, REVIEW, data, retained).review_by(account)
 
 
 def refusal(data: bytes, account: str = "", retained: bool = False) -> str:

@@ -33,7 +33,7 @@ from construction_twin.link.requests import (
     Override,
     RaiseSpeed,
     StampedButtonPress,
-    Verdict,
+    VerdictMessage,
     read_goal,
 )
 from construction_twin.mqtt import requests as kinds
@@ -79,7 +79,7 @@ class Acts:
         serve, verdicts = connection.serve, _ApprovalQueue(self.queues["reject"])
         self.queues["approve"] = verdicts
         serve(kinds.NAMELESS_REVIEW, NamelessVerdict, self._give_verdict, verdicts)
-        serve(kinds.REVIEW, Verdict, self._give_verdict, verdicts)
+        serve(kinds.REVIEW, VerdictMessage, self._give_verdict, verdicts)
         serve(kinds.OVERRIDE, Override, self._give_verdict, verdicts)
         for kind in PRESSED:
             # each verb remembers its own: the thread of another one may not add to what is looked through
@@ -103,7 +103,7 @@ class Acts:
                     service.open()
             time.sleep(CONNECT_PERIOD)
 
-    def _give_verdict(self, verdict: Verdict, request: IncomingRequest) -> Outcome:
+    def _give_verdict(self, verdict: VerdictMessage, request: IncomingRequest) -> Outcome:
         if not request.account and self._connection.proves_accounts:
             raise PayloadError(
                 "sender",
