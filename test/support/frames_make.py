@@ -91,7 +91,7 @@ def fill(text: bytes, target: tuple[float, ...], stamp: int) -> bytes:
 class Rules:
     """A session tells its number: only its beginning has to be judged."""
 
-    follows = False
+    follows_setpoint = False
     drift_sentence, begin, restart_sign = str, (lambda self: None), (lambda *_: "")
 
     def __init__(self, setup):

@@ -139,7 +139,7 @@ class Setup(Protocol[LayoutT_co]):
 
     @property
     def reference(self) -> str:
-        """One of `Make.references`; "" for a make that has none."""
+        """What corrections are relative to, of `Make.references`; "": nothing to choose."""
 
     @property
     def layout(self) -> LayoutT_co:
@@ -198,13 +198,13 @@ class Encoder(Protocol):
 
 
 class SessionRules(Protocol):
-    """How the sessions of one controller begin, beyond silence, another source, a jump of its clock.
+    """Rules for the begin of a controller's sessions, besides silence, another source and a jump of its clock.
 
     Attributes:
-        follows: Whether corrections are relative to the programmed position, and so move with it.
+        follows_setpoint: Whether corrections are relative to the programmed position, and so move with it.
     """
 
-    follows: bool
+    follows_setpoint: bool
 
     def drift_sentence(self, distance: str) -> str:
         """Return the sentence for an axis off its programmed position."""
@@ -218,7 +218,7 @@ class SessionRules(Protocol):
     def restart_sign(
         self, telegram: Telegram, origin: tuple[float, ...], correction: tuple[float, ...], moving: bool
     ) -> str:
-        """Return the sign of a restart that was shorter than the timeout of silence; "" for none.
+        """Return the evidence of a restart shorter than the silence timeout, as a clause; "" for none.
 
         `correction` is that of the last reply, () for none; `moving`: it is being changed.
         """
@@ -283,7 +283,7 @@ class FileForm(Generic[LayoutT]):
     Attributes:
         ending: Of a written file's name.
         to_fill: What a person must fill into a written file.
-        read: The layout of a file, from its path or text (several lines).
+        read: The layout in a file, given by path or text (several lines).
         write: The text of a file, from the axes.
         sends_to: Address that a controller sends to, from the path of its file, which must have the same layout.
     """
@@ -332,7 +332,7 @@ class Make(Generic[LayoutT]):
     references: tuple[str, ...] = ()
 
     def layout_of(self, path_or_text: str, axes: Sequence[str]) -> LayoutT:
-        """Return the layout of an arm, by path or text (several lines) of the file that describes it; the plain one for ""."""
+        """Return the layout in a file, given by path or text (several lines); "": the make's plain layout."""
         return self.form_of(path_or_text).read(path_or_text) if path_or_text else self.plain(axes)
 
     def form_of(self, path_or_text: str) -> FileForm[LayoutT]:

@@ -12,7 +12,7 @@ from construction_twin.core.errors import ConfigurationError
 
 
 def read_file(path: str | Path, most: int) -> bytes:
-    """Read a regular file (no pipe or device) of at most so many bytes; the `strerror` of an OSError is a phrase for a sentence."""
+    """Read a regular file of at most `most` bytes; an OSError's `strerror` completes a sentence."""
     with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             raise OSError(errno.EINVAL, "not a regular file", str(path))

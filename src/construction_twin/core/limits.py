@@ -66,7 +66,7 @@ class MotionLimits:
 def outside_tolerance(
     q: tuple[float, ...], reference: tuple[float, ...], tolerance: float | Sequence[float]
 ) -> int | None:
-    """Return the first joint further from its reference than its tolerance, or the one for all [rad], [m]; None: there is none."""
+    """Return the index of the first joint beyond its tolerance, or the one for all [rad], [m]; None: every joint is within."""
     tolerances = (tolerance,) * len(q) if isinstance(tolerance, float) else tolerance
     for index, (value, expected, allowed) in enumerate(zip(q, reference, tolerances)):
         if abs(value - expected) > allowed:
@@ -86,7 +86,7 @@ def distance_off(
 
 
 def braking_distance(step: float, deceleration: float) -> float:
-    """Return the distance of braking after a step that changes by the deceleration, > 0, in each cycle [rad].
+    """Return the distance to rest after a cycle's step, which falls by the deceleration, > 0, in each further cycle [rad].
 
     Exact: the textbook's v^2 / 2a is half a step longer and would refuse to end at the end of a range at full deceleration.
     """

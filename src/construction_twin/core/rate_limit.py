@@ -17,7 +17,7 @@ class LineLimiter:
         self._lines: dict[str, tuple[int, int]] = {}
 
     def admit(self, reason: str, now: int) -> str | None:
-        """Return what to append to a line; None: suppress it. `reason`: one of few, never text from outside."""
+        """Return the suffix of an admitted line, with the number of suppressed ones; None: suppress it. `reason`: a fixed key."""
         written, left_out = self._lines.get(reason, (now - self._period, 0))
         if now - written < self._period:
             self._lines[reason] = written, left_out + 1

@@ -225,7 +225,7 @@ class SwitchState(Enum):
 
     @property
     def word(self) -> str:
-        """The word of the gateway's `status`."""
+        """Name of the state in the gateway's `status`."""
         return self.name.lower()
 
 
@@ -249,7 +249,7 @@ class ToolReport:
     reason: str = NO_REPORT
 
     def mismatch(self, signals: Iterable[Any]) -> str:
-        """Return in a clause which input is unknown, or differs from its `Signal`; "" for none."""
+        """Return the first unknown or differing input, as a clause; "": all read as their `Signal`."""
         signals = tuple(signals)
         if not signals:
             return ""

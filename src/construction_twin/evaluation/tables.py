@@ -42,7 +42,7 @@ SAMPLES = 18802
 NOTE = "the paper's Table 1 prints averages above the maxima for A3 and A6, so those two columns cannot both be right"
 
 
-def axis_name(joint: str) -> str | None:
+def paper_axis(joint: str) -> str | None:
     """Return the paper's name of a joint (``joint_a1`` is ``A1``), or None when the paper has no such joint."""
     match = re.search(r"a([1-6])$", joint)
     return f"A{match.group(1)}" if match else None
@@ -50,7 +50,7 @@ def axis_name(joint: str) -> str | None:
 
 def paper_error(joint: str) -> PaperError | None:
     """Return the paper's Table 1 figures of a joint, or None when the paper has no such joint."""
-    axis = axis_name(joint)
+    axis = paper_axis(joint)
     return TABLE_1[axis] if axis else None
 
 

@@ -303,7 +303,7 @@ class Approval:
                     return
 
     def is_ready(self) -> bool:
-        """Return whether the plan under review has no obstacle that passes by itself. Under the lock."""
+        """Return whether executor, gate, link, scene, tool, rehearsal and other arm are ready for the plan. Under the lock."""
         executor, review = self._executor, self._executor.under_review
         plan, back = review.plan, executor.engagement.is_way_back
         idle = executor.state is ExecutorState.IDLE and executor.sync is SyncState.IN_SYNC and not executor.unarmed

@@ -58,7 +58,7 @@ class Engagement:
     reason: str = ""
 
     def requires(self, tool: ToolReport) -> Signals:
-        """Return what a way back must require: the last that holds now; the first while none does."""
+        """Return the signals that a way back requires: the last of `holding` that the tool reads, else the first."""
         return next((one for one, _ in reversed(self.holding) if not tool.mismatch(one)), self.holding[0][0])
 
     def scenes_of(self, requires: Signals) -> tuple[str, ...]:
@@ -253,7 +253,7 @@ def check_way_back(plan: Plan, engagement: Engagement) -> None:
     back = path.points(entry.time)[::-1]
     way = np.vstack((start + line * (back[0] - start), back))
     times = np.append(np.arange(0.0, trajectory.duration, CYCLE), trajectory.duration)
-    off = follow(way, trajectory.sample_many(times)[0])
+    off = first_deviation(way, trajectory.sample_many(times)[0])
     if off is not None:
         raise ReviewError(
             Sentence(
@@ -274,12 +274,11 @@ def scene_obstacle(scene: str, scenes: Sequence[str]) -> str:
     )
 
 
-def follow(way: np.ndarray, poses: np.ndarray) -> int | None:
-    """Follow a polyline, its corners of shape (k, n), from its beginning to its end, never backwards.
+def first_deviation(way: np.ndarray, poses: np.ndarray) -> int | None:
+    """Return the index of the first of the poses, shape (m, n), off a polyline with corners of shape (k, n); None: none is.
 
-    Returns:
-        Number of the first of the poses, shape (m, n), that is further than `WAY_BACK_TOLERANCE` off the rest of it, or leaves
-        out what is further away than the distance of two poses; None: none is, and the last is at the end.
+    They must go along it to its end, never back: a pose is off that is further than `WAY_BACK_TOLERANCE` from the remaining line,
+    or leaves out what is further away than the distance of two poses; so is the last one, short of the end.
     """
     corner, fraction, last = 0, 0.0, len(way) - 2
     before = poses[0]

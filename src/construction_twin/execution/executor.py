@@ -120,7 +120,7 @@ class Executor(ExecutorMachine):
         return events
 
     def pop_act_flag(self) -> bool:
-        """Return whether a person's stop, pause or rejection is to be reported: since the last call, or while braking."""
+        """Return whether a person has stopped, paused or rejected since the last call, or the arm still brakes for it."""
         acted, self._acted = self._acted, self._acted and self.state in _BRAKING
         return acted
 

@@ -96,13 +96,13 @@ class Progress:
 
     def __init__(self, trajectory: Trajectory, acceleration: Sequence[float], jerk: Sequence[float]):
         self.trajectory = trajectory
-        #: Time along the trajectory that is not passed [s].
+        #: Upper bound of the time along the trajectory [s]: the end of the present segment, or of the plan.
         self._bound = trajectory.duration
         self._difference_limit = np.array(acceleration) * CYCLE**2
         self._jerk_limit = np.array(jerk) * CYCLE**3
         # in nanoseconds, because whole cycles of them are exact
         self._elapsed = 0.0
-        self._now = _RampStep(0.0, 0.0, 0.0)
+        self._last = _RampStep(0.0, 0.0, 0.0)
         self._goal = 0.0
         self._ramp: deque[_RampStep] = deque()
         start = trajectory.positions[0]
@@ -117,7 +117,7 @@ class Progress:
     @property
     def at_rest(self) -> bool:
         """True when at rest, with no ramp planned."""
-        return self._now.step == 0.0 and not self._ramp
+        return self._last.step == 0.0 and not self._ramp
 
     @property
     def finished(self) -> bool:
@@ -127,23 +127,23 @@ class Progress:
     @property
     def rate(self) -> float:
         """Present rate, 0 to 1."""
-        return self._now.rate
+        return self._last.rate
 
     @property
     def steady(self) -> bool:
         """True at the requested rate."""
-        return not self._ramp and self._now.rate == self._goal
+        return not self._ramp and self._last.rate == self._goal
 
     def rest_at(self, elapsed: float) -> None:
         """Rest exactly at a time along the trajectory [ns], where the gate has stopped the joints."""
-        self._elapsed, self._now, self._goal = elapsed, _RampStep(0.0, 0.0, 0.0), 0.0
+        self._elapsed, self._last, self._goal = elapsed, _RampStep(0.0, 0.0, 0.0), 0.0
         self._ramp.clear()
         pose = self._ahead(0.0)
         self._poses = (pose, pose, pose)
 
     def rest(self) -> None:
         """Rest from the next setpoint on, at a rest of the trajectory."""
-        self._now, self._goal = _RampStep(0.0, 0.0, 0.0), 0.0
+        self._last, self._goal = _RampStep(0.0, 0.0, 0.0), 0.0
         self._ramp.clear()
 
     def bound(self, time: float) -> None:
@@ -152,7 +152,7 @@ class Progress:
 
     def begin(self, rate: float) -> tuple[float, ...]:
         """Return the present setpoint [rad] and leave rest at `rate`, without a ramp."""
-        self._goal, self._now = rate, _RampStep(rate * CYCLE_NS, rate, 0.0)
+        self._goal, self._last = rate, _RampStep(rate * CYCLE_NS, rate, 0.0)
         return tuple(self._poses[2].tolist())
 
     def advance(self, rate: float) -> tuple[float, ...]:
@@ -163,18 +163,18 @@ class Progress:
         enough, the rate changes as far as the acceleration limits allow, its slope as gently as the jerk limits ask for.
         """
         if rate != self._goal:
-            ramp = self._plan_ramp(rate, LONGEST_RAMP if rate >= self._now.rate else LONGEST_PAUSE)
+            ramp = self._plan_ramp(rate, LONGEST_RAMP if rate >= self._last.rate else LONGEST_PAUSE)
             if ramp is not None:
                 self._ramp, self._goal = ramp, rate
-            elif not self._ramp or rate < self._now.rate:
+            elif not self._ramp or rate < self._last.rate:
                 self._ramp.clear()
                 self._goal = rate
         if self._ramp:
             return self._advance_by(self._ramp.popleft())
         target = self._goal * CYCLE_NS
-        step = target if self._now.step == target else self._step_towards(target)
+        step = target if self._last.step == target else self._step_towards(target)
         return self._advance_by(
-            _RampStep(step, step / CYCLE_NS, (step - self._now.step) / CYCLE_NS if step != target else 0.0)
+            _RampStep(step, step / CYCLE_NS, (step - self._last.step) / CYCLE_NS if step != target else 0.0)
         )
 
     def brake(self) -> tuple[float, ...]:
@@ -184,9 +184,9 @@ class Progress:
         step = self._nearest_allowed(0.0)
         return self._advance_by(_RampStep(step, step / CYCLE_NS, 0.0))
 
-    def _advance_by(self, step: _RampStep) -> tuple[float, ...]:
-        self._elapsed += step.step
-        self._now = step
+    def _advance_by(self, cycle: _RampStep) -> tuple[float, ...]:
+        self._elapsed += cycle.step
+        self._last = cycle
         pose = self._ahead(0.0)
         self._poses = (*self._poses[1:], pose)
         return tuple(pose.tolist())
@@ -199,7 +199,7 @@ class Progress:
 
     def _step_towards(self, target: float) -> float:
         """Return the next step [ns], as far towards `target` as acceleration limits and a gentle change of the slope allow."""
-        rest, slope = (target - self._now.step) / CYCLE_NS, self._now.slope
+        rest, slope = (target - self._last.step) / CYCLE_NS, self._last.slope
         speed = np.abs(self.trajectory.sample(self.elapsed)[1]) * CYCLE
         curvature = min(LARGEST_CURVATURE, float((self._jerk_limit / np.maximum(speed, 1e-12)).min()))
         if abs(rest) <= curvature:
@@ -208,13 +208,13 @@ class Progress:
         most = (math.sqrt(curvature * curvature + 8.0 * curvature * abs(rest)) - curvature) / 2
         wanted = math.copysign(min(most, LARGEST_CHANGE), rest)
         change = min(max(wanted, slope - curvature), slope + curvature)
-        return self._nearest_allowed(min(max(self._now.step + change * CYCLE_NS, 0.0), float(CYCLE_NS)))
+        return self._nearest_allowed(min(max(self._last.step + change * CYCLE_NS, 0.0), float(CYCLE_NS)))
 
     def _nearest_allowed(self, step: float) -> float:
         """Return the step [ns] nearest to `step` that the joints can take; an unchanged one they can, as on the path."""
         if self._allowed(step):
             return step
-        refused, accepted = step, self._now.step
+        refused, accepted = step, self._last.step
         for _ in range(HALVINGS):
             middle = (refused + accepted) / 2
             refused, accepted = (refused, middle) if self._allowed(middle) else (middle, accepted)
@@ -228,7 +228,7 @@ class Progress:
     # -- ramps
 
     def _plan_ramp(self, goal: float, longest: int) -> deque[_RampStep] | None:
-        """Return the shortest ramp to `goal` that halving finds, every setpoint of it checked; None when there is none."""
+        """Return the shortest ramp to `goal` found by bisection of `RAMP_CYCLES`, within the joints' limits; None: none found."""
         best, shorter, longer = None, -1, bisect_right(RAMP_CYCLES, longest)
         while longer - shorter > 1:
             middle = (shorter + longer) // 2
@@ -241,7 +241,7 @@ class Progress:
 
     def _ramp_of(self, goal: float, cycles: int) -> deque[_RampStep] | None:
         """Return the ramp of that many cycles, a cubic that ends flat at the goal; None when a setpoint on it fails."""
-        start, lift, slope = self._now.rate, goal - self._now.rate, self._now.slope * cycles
+        start, lift, slope = self._last.rate, goal - self._last.rate, self._last.slope * cycles
         rate = Polynomial((start, slope, 3.0 * lift - 2.0 * slope, slope - 2.0 * lift))
         x = np.arange(cycles + 1) / cycles
         rates = rate(x)

@@ -54,7 +54,7 @@ class Refusals:
         self._stopped, self.later = True, ""
 
     def count_telegram(self, reason: str, why: object) -> None:
-        """Count a datagram on RSI's port as ``telegram_refused_<reason>``."""
+        """Count a refused datagram on the controller's port as ``telegram_refused_<reason>``."""
         self._record(f"telegram_refused_{reason}", f"telegram {reason}", why)
         self._has_own = True
         self.unread += 1

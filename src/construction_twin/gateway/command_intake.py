@@ -42,7 +42,7 @@ class CommandStream:
         # the newest number; bit k: the number k below it was taken
         self._sequence = self._received = 0
         self._travel_time.restart()
-        self._rest: tuple[tuple[float, ...], int] = (), 0
+        self._rest: tuple[tuple[float, ...], int] = (), 0  # last unstamped pose, and how many equal ones followed it
 
     def read(
         self, payload: bytes, properties: CommandProperties | PayloadError | None, now: int
@@ -61,13 +61,13 @@ class CommandStream:
         if step <= -REMEMBERED or properties.seq < 1:
             raise PayloadError("sequence", f"seq {properties.seq} after {self._sequence}")
         if step > FARTHEST and self.last_stamp:
-            # nor would the count of what was lost mean anything
+            # the count of lost commands would mean nothing
             raise PayloadError("sequence", f"seq {properties.seq} after {self._sequence}: no stream loses so many")
         if step <= 0:
             found = "duplicate" if self._received >> -step & 1 else "reordered"
             raise PayloadError(found, f"seq {properties.seq} after {self._sequence}: {found}")
         q = self._codec.decode(payload)
-        # a command that is late leaves the reference as it is, so it may be taken before it is judged
+        # a late command leaves the quickest travel time unchanged: recording it before the check is safe
         late = self._travel_time.record(properties.stamp, now) / NANOSECONDS
         if late > self._config.max_age:
             raise PayloadError("stale", f"command is {late:.3f} s older than the freshest")
@@ -87,7 +87,7 @@ class CommandStream:
 
 
 class StreamBroken(Exception):
-    """The stream has to end, its command being valid: ``STREAM_SILENT``, ``SPEED_IGNORED``, ``REPLIES_LOST``."""
+    """End of a stream at a valid command, by one of the events ``STREAM_SILENT``, ``SPEED_IGNORED``, ``REPLIES_LOST``."""
 
     def __init__(self, event: Event, reason: Sentence):
         super().__init__(reason)

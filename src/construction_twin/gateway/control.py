@@ -92,7 +92,7 @@ class EnforcedSpeedLimit:
     """
 
     def __init__(self, config: GatewayConfig):
-        self._source = speed_limit.SpeedLimit(config.speed_limit_deadline, config.speed_limit_silent)
+        self._limit = speed_limit.SpeedLimit(config.speed_limit_deadline, config.speed_limit_silent)
         self._grace = round(config.speed_limit_grace * NANOSECONDS)
         #: The fraction requested last, that for silence included.
         self.requested = 1.0
@@ -131,7 +131,7 @@ class EnforcedSpeedLimit:
 
     def on_limit(self, fraction: float, session: str, now: int) -> bool:
         """Store a limit, 0 to 1, of a session; return whether limit or session changed."""
-        self._source.record(fraction, session, now)
+        self._limit.record(fraction, session, now)
         changed = (fraction, session) != (self.requested, self.source)
         self.source = session
         self._store(fraction, now)
@@ -142,10 +142,10 @@ class EnforcedSpeedLimit:
         recent = self._recent
         if not recent:
             return False
-        silent = self.source != "silence" and self._source.is_silent(now)
+        silent = self.source != "silence" and self._limit.is_silent(now)
         if silent:
             self.source = "silence"
-            self._store(self._source.fraction_when_silent, now)
+            self._store(self._limit.fraction_when_silent, now)
         while len(recent) > 1 and now - recent[1][0] >= self._grace:
             recent.popleft()
         self.fraction = recent[0][1]

@@ -31,7 +31,7 @@ SHOWN = 250
 
 
 class ControllerClock:
-    """Measures the clock of a controller whose cycle is expected to be `cycle_ms`, unless that is a simulated one."""
+    """Measures a controller's clock against the expected `cycle_ms`; `measures` False (a simulated clock): it stays idle."""
 
     def __init__(self, make: Make, cycle_ms: int, measures: bool = True):
         self.measures = measures
@@ -40,7 +40,7 @@ class ControllerClock:
         self._first, self._patient, self._base = FIRST // cycle_ms, PATIENT // cycle_ms, BASE // cycle_ms
         # the stamp as it would be without a wrap, and arrival
         self._arrivals: deque[tuple[int, int]] = deque(maxlen=self._patient)
-        # the stamp of the last of them as it was told
+        # the last stamp as received
         self._stamp = 0
         self._others = {mode: LOSSES if mode > cycle_ms else SHORTER for mode in self._modes if mode != cycle_ms}
         self.restart()
@@ -79,7 +79,7 @@ class ControllerClock:
         self._to_judge -= 1
 
     def _on_other_step(self, stamp: int, step: int) -> None:
-        """Count a step of the other cycle; the session is measured anew from where the first row of them began."""
+        """Count a step of another cycle; enough in a row restart the measurement at the first of them."""
         follows = step == self._other and stamp - step == self._other_stamp
         self._in_a_row = self._in_a_row + 1 if follows else 1
         self._other, self._other_stamp = step, stamp

@@ -218,7 +218,7 @@ class ControllerSession:
         if telegram.measured is None or not self.origin:
             return ()
         self.measured = telegram.measured
-        if telegram.setpoint is None or telegram.setpoint == self.origin or not self._rules.follows:
+        if telegram.setpoint is None or telegram.setpoint == self.origin or not self._rules.follows_setpoint:
             return ()
         self._counters["reference_drifts"] += 1
         return telegram.setpoint
@@ -234,7 +234,7 @@ class ControllerSession:
 
     def renew_origin(self) -> None:
         """Move a measured origin to the present pose, while the correction is zero."""
-        if not self._rules.follows and self.measured:
+        if not self._rules.follows_setpoint and self.measured:
             self.origin = self.measured
 
     def move_origin(self, setpoint: tuple[float, ...], position: tuple[float, ...]) -> tuple[float, ...]:

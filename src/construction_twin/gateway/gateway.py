@@ -18,11 +18,8 @@ from construction_twin.gateway.arm_control import ArmControl
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.gateway.control import CommandHandler
 from construction_twin.gateway.controller_session import corrected
-from construction_twin.gateway.states import Action, Event, Guard, Machine, Mode, Occasion, Row, State
+from construction_twin.gateway.states import HELD, Action, Event, Guard, Machine, Mode, Occasion, Row, State
 from construction_twin.mqtt.messages import PROTOCOL, StateProperties
-
-#: States in which nothing is commanded, and the held pose follows what a program of the controller does.
-HELD = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
 
 
 def _not_reset(reason: str) -> str:

@@ -112,6 +112,8 @@ rows = state_table.Rows(State, Event, Guard, Action)
 _LIVE = tuple(state for state in State if state is not State.FAILED)
 _MOVABLE = (State.ARMED, State.FOLLOWING, State.BRAKING, State.HOLDING)
 _UNMEASURED = (State.MEASURING, State.OTHER_CYCLE)
+#: States in which nothing is commanded, and the held pose follows what a program of the controller does.
+HELD = (*_UNMEASURED, State.READY, State.ARMED)
 _NOTHING_TO_BRAKE = (State.NO_CONTROLLER, State.READ_ONLY, State.JOINED, *_UNMEASURED)
 
 #: Every change of state. What no row names changes nothing: it is refused, or counted.

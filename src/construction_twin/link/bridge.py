@@ -29,8 +29,8 @@ from construction_twin.mqtt.messages import (
     CommandProperties,
     Control,
     StateProperties,
-    no_properties,
     read_state_properties,
+    refuse_properties,
 )
 
 #: Longest wait of a failed request for the gateway's answer that nothing of it is in force [ns].
@@ -76,7 +76,7 @@ class StateCheck:
         """Check a state by its number, the gateway's stamp and the time of reception, each on its own clock [ns].
 
         Raises:
-            PayloadError: ``sequence``; ``stale``; ``early``: so much quicker than all others that a single one is not believed.
+            PayloadError: ``sequence``; ``stale``; ``early``: a travel time shorter than the quickest by more than `max_age`.
         """
         last, jump, excess, misfit = self._last, seq - self._last, self._travel.excess(stamp, received), None
         in_order = not last or 0 < jump <= MAX_JUMP
@@ -84,7 +84,7 @@ class StateCheck:
             misfit = PayloadError("sequence", f"seq {seq} after {last}")
         elif excess < -self._limit:
             misfit = PayloadError("early", f"state travelled {-excess / NANOSECONDS:.3f} s less than the quickest one")
-        again = misfit and (in_order or seq == self._before + 1)
+        again = misfit and (in_order or seq == self._before + 1)  # out of sequence it must continue the state before
         self._misfits, self._before = self._misfits + 1 if again else int(misfit is not None), seq
         if in_order:
             self._last, self.lost = seq, self.lost + (jump - 1 if last else 0)
@@ -105,14 +105,14 @@ class JointStrings:
     def __init__(self, codec: JointStringCodec, properties: bool, bare: bool, max_age: float):
         self._codec = codec
         self.properties = properties and not bare
-        self._read_properties = no_properties if bare else read_state_properties
+        self._read_properties = refuse_properties if bare else read_state_properties
         self.check = StateCheck(max_age)
         self.sent = self.received = 0
 
     def encode_command(
         self, q: tuple[float, ...], session: str, stamp: int
     ) -> tuple[bytes, list[tuple[str, str]] | None]:
-        """Return the next command [rad], or raise PayloadError."""
+        """Return payload and user properties of the next command [rad]; PayloadError where the wire cannot carry it."""
         payload = self._codec.encode(q)
         self.sent += 1
         return payload, CommandProperties(session, self.sent, stamp).pairs() if self.properties else None
@@ -336,7 +336,7 @@ class Bridge:
             self._stop, self._stop_shown_from = stop, replace(present, at=present.at + SHOWN_AFTER)
 
     def mirror(self, leads: bool, now: int) -> tuple[str, PendingRequest | None]:
-        """Begin or end mirror mode; return one sentence, and the request that it ends in."""
+        """Begin or end mirror mode; return one sentence, and the session request that follows, None for none."""
         supervisor = self.supervisor
         asked, before = PendingRequest(supervisor, now, self._timeout), supervisor.requests
         sentence = supervisor.begin_mirror(now) if leads else supervisor.end_mirror(now)
@@ -391,7 +391,7 @@ class Bridge:
             "reply_us_max": reply.max,
             "states_lost": self._strings.check.lost,
         }
-        states_refused = sum(count for name, count in refused.items() if name.startswith("stat"))
+        states_refused = sum(count for name, count in refused.items() if name.startswith("stat"))  # state_..., status
         return LinkReport(
             supervisor.state.name,
             self.reason(connection),

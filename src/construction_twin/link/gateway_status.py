@@ -146,13 +146,13 @@ NO_STATUS = GatewayStatus()
 _Model = TypeVar("_Model", GatewayStatus, GatewayAnswer)
 
 
-def read(kind: type[_Model], document: Mapping[str, Any]) -> _Model:
+def read(model: type[_Model], document: Mapping[str, Any]) -> _Model:
     """Return a status or an answer; PayloadError ``status``."""
     said = document.get("said")
     known = sentences_of(said) if isinstance(said, dict) and len(said) <= _MOST_SAID else {}
     try:
-        # what its message holds of its kind does not count
-        return kind.model_validate({**document, "kind": RSI}, context=known)
+        # only a gateway sends JSON: the message's own `kind` is overwritten
+        return model.model_validate({**document, "kind": RSI}, context=known)
     except ValidationError as error:
         place = ".".join(str(level)[:64] for level in error.errors()[0]["loc"])
         raise PayloadError(

@@ -250,7 +250,7 @@ class LinkObservations(ArmAndStream):
 
     @property
     def stopped_before(self) -> str:
-        """`stop_reason` of a former run, which a new run forgets."""
+        """Reason of a stop that a former run of the gateway showed; "" for none."""
         return self._stop_reason if self._stopped_in not in ("", self.status.run) else ""
 
     @property
@@ -268,7 +268,7 @@ class LinkObservations(ArmAndStream):
         return self.status.is_armed and self.status.session != session
 
     def compare_arm(self, now: int, explains: bool) -> None:
-        """Compare where the controller has its tool with the model, if the arm rests."""
+        """Compare the controller's tool pose with the model's at rest; `explains`: there is time to look for a cause."""
         pose = self.status.tool_pose
         # a gateway of another arm is another configuration
         if pose is None or len(pose.axes) == len(self._tolerances):

@@ -136,7 +136,7 @@ class LinkSupervisor:
         self._want_session()
 
     def request_arm(self, now: int, person: str = "") -> None:
-        """Raise ReviewError: the link arms by itself, and `request_reset` removes what prevents it."""
+        """Refuse to arm on request (ReviewError): this link arms by itself, after `request_reset`; `BareSupervisor` does arm."""
         if self.state is not LinkState.NEEDS_RESET:
             raise ReviewError(Sentence("nothing to arm: {why}", why=self.sentence))
         raise ReviewError(Sentence("cannot arm: {why}", why=self.reason))

@@ -57,7 +57,7 @@ class ToolLink:
         return frozenset((*armed, *self._by_control.values()))
 
     def on_gate(self, is_open: bool, session: str) -> Control | None:
-        """Return the message that voids what waits where the gate has closed, once."""
+        """Return the message that voids the waiting switches of a closed gate, each once; None: nothing to void."""
         if is_open or self.waiting <= self._voided:
             return None
         self._voided = self.waiting

@@ -34,7 +34,7 @@ ForwardKinematics = Callable[[tuple[float, ...]], tuple[Sequence[float], Sequenc
 
 
 class ReplyRefusals:
-    """The refused replies of a controller: logged when that begins and when it ends.
+    """Refused replies of a controller, with a log line at begin and end.
 
     Attributes:
         last: Why the last one did not count; "" before the first.
@@ -123,7 +123,7 @@ class MockController:
         make = make_of(layout.make)
         self.status_shown = MockStatus()
         self._absolute = make.absolute
-        #: What people call things on it.
+        #: Terms of the make's pendant and files.
         self.terms = make.terms
         side = make.controller_side(layout, config.axes, config.units, config.precision)
         self._encode, self._decode, self._status = side.encode, side.decode, side.status
@@ -175,7 +175,7 @@ class MockController:
         """Close the open cycle, move the servo, open the next one; return the datagram, None when the session has stopped."""
         if self.running and self._open:
             self._close_cycle()
-            self.stamp = self._stamp_after(self.config.cycle * self.running)
+            self.stamp = self._stamp_after(self.config.cycle * self.running)  # just stopped: it keeps its stamp
         elif not self.running:
             self._move_without_session()
         if self.tool is not None:

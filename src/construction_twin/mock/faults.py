@@ -44,7 +44,7 @@ class ImpairedLine:
 
     @property
     def active(self) -> bool:
-        """Whether datagrams pass through this line: a fault is on, or delayed ones are queued."""
+        """Whether the line impairs datagrams, or still holds delayed ones."""
         return bool(self.drop or self.duplicate or self.delay or self.jitter or self._queue)
 
     def send(self, data: bytes, now: int) -> None:
@@ -176,7 +176,7 @@ class FaultBoard:
         return tuple(str(fault) for fault, _ in self._active.values())
 
     def tick(self) -> None:
-        """Advance by one cycle, before `MockController.begin_cycle`, and end the faults whose time is over."""
+        """Advance by one cycle, before `MockController.begin_cycle`; end faults by time, a time-out with the session it stops."""
         self._cycle += 1
         if not self._active:
             return

@@ -80,7 +80,7 @@ class SimulatedTool:
             target = gripper.opened
             self.lost = False
         if target is not self._target:
-            self._target, self._due = target, 1 if self.lost else self._wait
+            self._target, self._due = target, 1 if self.lost else self._wait  # a lost element is read in this cycle
         if self._due:
             self._due -= 1
             if not self._due:

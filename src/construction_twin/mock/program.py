@@ -147,11 +147,12 @@ def build_servo(settings: MockSettings, robot: RobotModel) -> Servo:
 
 
 def build_forward_kinematics(robot: RobotModel, another: AnotherArm = AnotherArm()) -> ForwardKinematics:
-    """Return the function from axis values [rad], [m] to position [m] and A, B, C [rad] of the tool in the base."""
-    from construction_twin.kinematics.chain import (
-        Chain,
-        pendant_frame,
-    )  # need PyKDL, which the pure core and its users do not
+    """Return the function from axis values [rad], [m] to position [m] and A, B, C [rad] of the tool in the base.
+
+    `another`: how the mock's arm differs from the model.
+    """
+    # needs PyKDL, which the pure core and its users do not
+    from construction_twin.kinematics.chain import Chain, pendant_frame
     from construction_twin.robot.frames import rotation_to_abc
 
     if another.longer or another.reversed:

@@ -73,7 +73,7 @@ class TwinHistory:
 
     def __init__(self):
         self._poses: deque[tuple[int, tuple[float, ...]]] = deque(maxlen=HISTORY)
-        #: How many of the newest poses have the pose of the one before.
+        #: Number of the newest poses in a row that equal their predecessors.
         self._resting = 0
 
     @property
@@ -214,6 +214,7 @@ class PoseComparison:
         return self.last
 
     def _reference(self, stamp: int, lag: int) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+        """Return the twin's pose [rad] and velocity [rad/s] a lag [ns] before a stamp [ns]; stamp 0: before the newest pose."""
         latest = self.twin.latest
         if latest is None:
             return None
@@ -241,8 +242,8 @@ class RoundTrips:
         place = stamp // CYCLE_NS % MAX_SETPOINTS
         self._stamps[place], self._passed[place] = stamp, now
 
-    def since(self, stamp: int, now: int) -> float:
-        """Return how long ago at `now` [ns] the path had come to this stamp [s]; nan when no setpoint nearby is known.
+    def elapsed_since(self, stamp: int, now: int) -> float:
+        """Return the time from the passing of the setpoint of `stamp` to `now` [s]; nan when no setpoint nearby is known.
 
         A stamp between two setpoints is one of the gateway's playout. Where a message waited in a queue the time of its reception
         is an estimate, and may lie a moment before the setpoint passed: 0 then.

@@ -97,7 +97,7 @@ class Gate:
         self._agreed_since: int | None = None
         self._agreed = False
         self._stamp = 0
-        #: Stamp of the setpoint before the next one to pass.
+        #: Stamp of the last setpoint that passed; at the opening, one cycle before the first.
         self._before = 0
         self._travel = TravelTime()
         self._round_trips = RoundTrips()
@@ -112,8 +112,9 @@ class Gate:
         self._difference: Cause | None = None
         #: When the last command that passed differed from the one before it.
         self._moved_at: int | None = None
+        #: When holds began that count towards `escalate_count` [ns].
         self._closings: deque[int] = deque()
-        #: Whether the present hold is one of them.
+        #: Whether the present hold is in `_closings`.
         self._counted = False
 
     @property
@@ -125,9 +126,7 @@ class Gate:
 
     @property
     def cause(self) -> Cause | None:
-        """What keeps the gate closed until it is mended, through every state: what closed it, or a pose that differed before it
-        opened; None while it is open, and while nothing is known against it.
-        """
+        """Violation or difference that keeps the gate closed, through every closed state; None: open, none known, the arm leads."""
         if self.state is SyncState.IN_SYNC or self.mirrored:
             return None
         return self._violation or self._difference
@@ -252,7 +251,7 @@ class Gate:
             seq: The gateway's counter of its states; 0: not known, and so is what the servos should do.
         """
         continued = self._is_fresh(now)
-        round_trip = self._round_trips.since(command_stamp, now)
+        round_trip = self._round_trips.elapsed_since(command_stamp, now)
         comparison = self.comparison.compare(q, command_stamp, now if received is None else received, round_trip)
         servos = None
         if self.servo_watch is not None and self._compares:
@@ -295,7 +294,7 @@ class Gate:
             self._close(SyncEvent.POSE_DIFFERS, sentence, now)
 
     def is_agreed(self, now: int) -> bool:
-        """True when fresh feedback agrees with the twin, and once did so for `agree_time` within `agree_share` of the threshold."""
+        """Return whether twin and arm agree, begun by `agree_time` within `agree_share`; without an arm, a twin's pose suffices."""
         if not self._compares:
             return self.comparison.twin.latest is not None
         return self._agreed and self._is_fresh(now)
@@ -406,7 +405,7 @@ class Gate:
 
 
 def difference_values(limits: MotionLimits, joint: int, difference: float, threshold: float) -> dict[str, Value]:
-    """Return the axis' name, and a difference that reads as more than its threshold with three decimals of deg or mm."""
+    """Return `joint`, `difference` and `threshold` for a sentence, the difference also above its threshold in three decimals."""
     unit = "m" if limits.linear[joint] else "rad"
     (shown, _), (allowed, people) = to_display_unit(difference, unit), to_display_unit(threshold, unit)
     if round(shown, 3) <= round(allowed, 3):

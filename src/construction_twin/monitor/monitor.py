@@ -227,7 +227,7 @@ class TransitionLogError(ConstructionTwinError):
 
 
 class TransitionLog:
-    """The file of all transitions, whose stamps are in ROS time here, and the newest; `fault`: why it cannot be written."""
+    """Log of transitions in ROS time: a file of all, and the newest in memory; `fault`: why the file cannot be written."""
 
     def __init__(self, path: Path, names: tuple[str, ...]):
         self.fault, self._names, self._count = "", names, 0

@@ -76,13 +76,13 @@ class Refinement:
 
 
 class _Slope:
-    """How a value grows with another, by least squares: its mean, and what grows with time, is taken out first."""
+    """Slope of y over x by least squares, with a constant and a drift in time as further unknowns."""
 
-    __slots__ = ("_late", "_squares", "_with_y", "count")
+    __slots__ = ("_squares", "_time", "_with_y", "count")
 
     def __init__(self) -> None:
         self.count = 0
-        self._late = 0.0
+        self._time = 0.0
         #: Sums of the products of 1, time and x with each other (the upper half), and with y.
         self._squares = [0.0] * 6
         self._with_y = [0.0] * 3
@@ -90,9 +90,9 @@ class _Slope:
     def add(self, x: float, y: float) -> None:
         """Add a pair of values."""
         self.count += 1
-        # of the size of a speed, so that no sum drowns another
-        self._late += 1.0 / ENOUGH
-        t, squares, with_y = self._late, self._squares, self._with_y
+        # in units of `ENOUGH` samples: all sums stay of similar size
+        self._time += 1.0 / ENOUGH
+        t, squares, with_y = self._time, self._squares, self._with_y
         squares[0] += 1.0
         squares[1] += t
         squares[2] += x
@@ -105,14 +105,14 @@ class _Slope:
 
     @property
     def value(self) -> float:
-        """The slope; 0 where x depends on mean and time alone."""
+        """The slope; 0 where x is a constant plus a drift in time."""
         (n, t, x, tt, tx, xx), (y, ty, xy) = self._squares, self._with_y
-        times = tt - t * t / n
-        along = (tx - t * x / n) / times if times else 0.0
-        alone = xx - x * x / n - along * (tx - t * x / n)
-        if not alone > 1e-9 * xx:
+        tt_centred = tt - t * t / n
+        x_per_time = (tx - t * x / n) / tt_centred if tt_centred else 0.0
+        xx_residual = xx - x * x / n - x_per_time * (tx - t * x / n)
+        if not xx_residual > 1e-9 * xx:
             return 0.0
-        return (xy - x * y / n - along * (ty - t * y / n)) / alone
+        return (xy - x * y / n - x_per_time * (ty - t * y / n)) / xx_residual
 
 
 @dataclass(frozen=True)

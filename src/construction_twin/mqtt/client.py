@@ -185,7 +185,7 @@ def _without_delay(client: paho.Client, userdata: object, sock: Any) -> None:
 
 
 def subscriptions(topics: Iterable[tuple[str, int]]) -> list[tuple[str, SubscribeOptions]]:
-    """Return topics and their QoS for `client.subscribe`, with the retain flag also on what is published meanwhile."""
+    """Return topics and QoS for `client.subscribe`, with retain flags as published."""
     return [(topic, SubscribeOptions(qos=qos, retainAsPublished=True)) for topic, qos in topics]
 
 

@@ -54,7 +54,7 @@ class UserProperties:
 
 
 def read_plain(packet: bytes) -> tuple[bytes, UserProperties, bytes] | None:
-    """Return topic, at most 127 bytes of ASCII user properties and payload of a PUBLISH of QoS 0; None: paho must read it."""
+    """Split the body of a PUBLISH of QoS 0 into topic, user properties (ASCII, at most 127 bytes) and payload; None: for paho."""
     start = 2 + int.from_bytes(packet[:2], "big")
     if start >= len(packet) or packet[start] > 127 or start + 1 + packet[start] > len(packet):
         return None
@@ -81,7 +81,7 @@ def _text(packet: bytes, at: int, end: int) -> tuple[str | None, int]:
 
 
 def publish_span(ahead: bytes) -> tuple[int, int] | None:
-    """Return where the topic begins and the packet ends of a PUBLISH of QoS 0 below 16 kB that has come whole, else None."""
+    """Return begin and end of the body of a complete PUBLISH of QoS 0 below 16 kB; None: anything else."""
     if len(ahead) < 3 or ahead[0] & 0xFE != paho.PUBLISH:
         return None
     start, length = 2, ahead[1]

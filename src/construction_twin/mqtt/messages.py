@@ -139,7 +139,7 @@ def read_state_properties(pairs: list[tuple[str, str]]) -> StateProperties:
     return StateProperties(*(_number(name, values[name]) for name in ("seq", "stamp", "command_stamp")))
 
 
-def no_properties(pairs: list[tuple[str, str]]) -> StateProperties | None:
+def refuse_properties(pairs: list[tuple[str, str]]) -> StateProperties | None:
     """Refuse user properties beside a bare PLC's state: PayloadError ``properties``."""
     if pairs:
         found = f"a state with user properties {_shown_names(pairs)}; expected a bare PLC's"

@@ -54,7 +54,7 @@ class PolledClient:
         return self.connected and self._decrypted()
 
     def read(self) -> None:
-        """Handle what has come in: of TCP one packet, of TLS whole records, which once decrypted make no socket readable."""
+        """Handle received packets: of TCP one, of TLS all that are decrypted."""
         self.client.loop_read(1)
         for _ in range(_MAX_PACKETS):
             if not self._decrypted():

@@ -41,7 +41,7 @@ Record = Verdict | ExecutionEnd | Responsibility | Release | SessionRequest | Sp
 
 @dataclass(frozen=True)
 class PlanRecord:
-    """The record's entries on one plan.
+    """Summary of the record's entries on one plan.
 
     Attributes:
         plan: Its id; empty: the record has none that fits.
@@ -56,7 +56,7 @@ class PlanRecord:
 
 
 def read_plan_record(path: str | Path, plan_id: str, source: str = "") -> PlanRecord:
-    """Return the entries of a review file on a plan, found by its id or a part of its source."""
+    """Return the summary of a review file's entries on a plan, found by its id or a part of its source."""
     try:
         found = PlanRecord(plan_id, False)
         for fields in read_lines(path):

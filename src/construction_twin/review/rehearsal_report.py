@@ -134,8 +134,8 @@ class RehearsalReport:
     stamp: Annotated[int, SECONDS] = seconds_field()
 
 
-def matches_hash(report: RehearsalReport) -> bool:
-    """Return whether a received report matches its hash."""
+def is_consistent(report: RehearsalReport) -> bool:
+    """Return whether a received report has a known state, no reasons where it passed, and the hash of its content."""
     if report.state not in STATES or (report.state == PASSED and report.reasons):
         return False
     return with_hash(report, report.took).hash == report.hash

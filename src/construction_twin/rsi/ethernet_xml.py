@@ -192,8 +192,8 @@ def tool_channels(layout: RsiLayout) -> tuple[str, ...]:
     return (*(f"{SET}.{name}" for name in layout.switched), *sent)
 
 
-def controller_sends_to(path: str | Path, layout: RsiLayout) -> str:
-    """Check the file that was copied to a controller against the gateway's layout; return its IP_NUMBER."""
+def matching_address(path: str | Path, layout: RsiLayout) -> str:
+    """Return the IP_NUMBER of a controller's Ethernet XML; EthernetXmlError where its layout is another than the gateway's."""
     ethernet = load_ethernet_xml(path)
     for field in fields(RsiLayout):
         found, ours = getattr(ethernet.layout, field.name), getattr(layout, field.name)

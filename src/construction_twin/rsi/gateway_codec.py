@@ -47,7 +47,7 @@ _VALUES = re.compile(rb"""\b([XYZABC])\s*=\s*["']([^"'<>]{1,48})["']""").findall
 
 
 def read_tool_pose(data: bytes) -> tuple[float, ...] | None:
-    """Return `RIst` of a checked telegram, X, Y, Z [m], A, B, C [rad]; None where it is not there once with six numbers."""
+    """Return the tool pose `RIst` of a checked telegram, X, Y, Z [m], A, B, C [rad]; None unless it has six numbers, once."""
     found = _POSE(data)
     values = dict(_VALUES(found[0])) if len(found) == 1 else {}
     texts = [values.get(name, b"") for name in (b"X", b"Y", b"Z", b"A", b"B", b"C")]
@@ -65,7 +65,7 @@ def split_values(data: bytes) -> tuple[list[bytes], list[bytes], bytes]:
 
 
 def places_of(texts: Sequence[bytes], wanted: Sequence[tuple[str, str]]) -> list[int] | None:
-    """Return the places of the wanted values, by element and attribute; None where the texts of a shape hide them."""
+    """Return the indices of the wanted values, by element and attribute, from `split_values`' constant texts; None: unclear."""
     keys, tag = [], ""
     for text in texts[:-2]:
         for found in _TAG.finditer(text):
@@ -79,7 +79,7 @@ def places_of(texts: Sequence[bytes], wanted: Sequence[tuple[str, str]]) -> list
 
 
 class RobotDecoder:
-    """Reads the axes of one configuration from controller packets; without `units` all are revolute, in the controller's own.
+    """Reads the axes of one configuration from telegrams; default `units`: revolute axes with the controller's sign and zero.
 
     A telegram of the shape of one that was read as XML differs in its numbers alone, and needs no parser.
     """
@@ -150,6 +150,7 @@ class RobotDecoder:
         texts = [found[block].get(axis) for block, axis in slots]
         for (block, axis), text in zip(slots, texts):
             if text is None or not is_number(text):
+                # raises the error that names the axis
                 read_number(found[block], axis, exponent=True)
         return self._si(texts)
 

@@ -27,8 +27,8 @@ from construction_twin.rsi.ethernet_xml import (
     EthernetXmlError,
     check_axes,
     check_gateway,
-    controller_sends_to,
     load_ethernet_xml,
+    matching_address,
     read_ethernet_xml,
     tool_channels,
 )
@@ -137,7 +137,7 @@ class RsiSessionRules:
     """One RSI session after the other, see `SessionRules`."""
 
     def __init__(self, setup: Setup[RsiLayout]):
-        self.follows = setup.reference == "ASPos"
+        self.follows_setpoint = setup.reference == "ASPos"
         self._limits = setup.limits
         self._tolerances = setup.start_tolerances
         self._empty_telegrams = 0
@@ -176,7 +176,7 @@ class RsiSessionRules:
                 "then start the program again",
                 distance=distance,
             )
-        return setpoint if self.follows else measured, ""
+        return setpoint if self.follows_setpoint else measured, ""
 
     def restart_sign(
         self, telegram: Telegram, origin: tuple[float, ...], correction: tuple[float, ...], moving: bool
@@ -189,7 +189,7 @@ class RsiSessionRules:
             # so a session of RSI up to 2.3 begins, but no pose says that this is one: it is not answered
             self._empty_telegrams = 1
             return Sentence("a telegram with nothing but IPOC")
-        if not self.follows or measured is None or setpoint is None:
+        if not self.follows_setpoint or measured is None or setpoint is None:
             return ""
         if moving and outside_tolerance(setpoint, origin, tolerances) is None:
             # at the beginning of a motion the servo may be no further yet
@@ -333,7 +333,7 @@ MAKE = Make(
         to_fill="IP_NUMBER, the address of the PC that runs rsi_gateway; for a controller that speaks KUKA RSI",
         read=layout_of,
         write=ethernet_xml_text,
-        sends_to=controller_sends_to,
+        sends_to=matching_address,
     ),
     references=("ASPos", "AIPos"),
 )

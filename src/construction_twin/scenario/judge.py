@@ -15,7 +15,7 @@ import numpy as np
 from construction_twin.core.limits import RANGE_SLACK, MotionLimits
 from construction_twin.core.units import CYCLE, CYCLE_NS, NANOSECONDS, radians
 from construction_twin.evaluation.alignment import TwinPath, Window, align_by_command, align_lag_removed
-from construction_twin.gateway.states import State
+from construction_twin.gateway.states import HELD
 from construction_twin.gateway.trace import TraceEntry
 from construction_twin.mock.faults import KINDS
 from construction_twin.scenario.definition import Scenario
@@ -40,10 +40,6 @@ class Excess:
         return f"entry {self.index}, IPOC {self.ipoc}: {self.axis} {self.kind} {self.value:.6g}; limit {self.limit:.6g}"
 
 
-#: States in which the gateway adds nothing to what the controller's own program does.
-_LED = (State.MEASURING, State.OTHER_CYCLE, State.READY, State.ARMED)
-
-
 def trace_motion(entries: Sequence[TraceEntry], cycle: float) -> tuple[np.ndarray, np.ndarray]:
     """Return each reply's step from the last one that arrived, and its change from the step before, shape (k, n) [rad].
 
@@ -60,7 +56,7 @@ def trace_motion(entries: Sequence[TraceEntry], cycle: float) -> tuple[np.ndarra
         if entry.lost and last_acknowledged is not None:
             last, step = last_acknowledged, rest
         new = np.subtract(entry.position, last.position)
-        if entry.state in _LED:
+        if entry.state in HELD:
             # the pose follows the controller's own motion: what it does, and what it does in a missed cycle, is not the gateway's
             new = step = rest
         steps.append(new)
@@ -212,7 +208,7 @@ def _begun(scenario: Scenario, run: Run) -> list[Check]:
 
 
 def describe(run: Run) -> str:
-    """Return a run in one line: the states of the gate, of the executor's plan, and of the link."""
+    """Return a run in one line: the gate's states, the plan's outcome, the link's states."""
     parts = [" → ".join(run.states("sync")), "plan " + (run.last("outcome") or "not ended")]
     links = run.states("link")
     if len(links) > 1:
@@ -240,7 +236,7 @@ def _end(scenario: Scenario, run: Run) -> Check:
 
 
 def _fault(scenario: Scenario, run: Run) -> Change | None:
-    """Return the first fault that began, or when there is none the first call of a person."""
+    """Return the first fault that began; in a scenario without faults, the first call of a person."""
     return run.first("fault") or (None if any(step.inject for step in scenario.steps) else run.first("call"))
 
 
@@ -275,12 +271,12 @@ def _detection(scenario: Scenario, run: Run, measured: dict) -> list[Check]:
 class _Crossing:
     """How a joint's error went over its threshold.
 
-    `within`: stamp of the command that the last sample within it was compared with; `last`: of the recording's last sample [ns].
+    `last_agreed_stamp`: of the command that the last sample within it was compared with; `last`: of the recording's end [ns].
     """
 
     joint: int
     samples: int
-    within: int
+    last_agreed_stamp: int
     last: int
 
 
@@ -293,7 +289,7 @@ def _crossing(run: Run, closing: SyncMoment, begin: int) -> _Crossing | None:
     if fractions[joint] <= 1.0:
         return None
     aligned = align_lag_removed(
-        run.recording, Window(min(begin, run.start), closing.stamp, closing.stamp, False), _lag(closing)
+        run.recording, Window(min(begin, run.start), closing.stamp, closing.stamp, False), _lag_ns(closing)
     )
     if aligned is None:
         return None
@@ -306,12 +302,12 @@ def _crossing(run: Run, closing: SyncMoment, begin: int) -> _Crossing | None:
     return _Crossing(
         joint=column,
         samples=len(over) - first,
-        within=int(feedback.command_stamps[sample] - _lag(closing)),
+        last_agreed_stamp=int(feedback.command_stamps[sample] - _lag_ns(closing)),
         last=int(feedback.stamps[-1]),
     )
 
 
-def _lag(closing: SyncMoment) -> float:
+def _lag_ns(closing: SyncMoment) -> float:
     return 0.0 if math.isnan(closing.servo_lag) else closing.servo_lag * NANOSECONDS
 
 
@@ -326,14 +322,14 @@ def _growth(run: Run, closing: SyncMoment, crossing: _Crossing, stalled: str) ->
         return Check("error of the stalled joint", f"the gate to close for {stalled}", f"it closed for {name}", False)
     threshold = closing.threshold[closing.joints.index(name)]
     twin = run.recording.twin
-    under_way = (twin.stamps >= crossing.within - CYCLE_NS) & (twin.stamps <= closing.stamp)
+    under_way = (twin.stamps >= crossing.last_agreed_stamp - CYCLE_NS) & (twin.stamps <= closing.stamp)
     # by the stamps: where the recording lost a message, two cycles lie between
     speeds = np.abs(np.diff(twin.positions[under_way, joint])) / np.diff(twin.stamps[under_way]) * NANOSECONDS
     speed = float(speeds.max(initial=0.0))
-    delay = (closing.stamp - crossing.within) / NANOSECONDS
+    delay = (closing.stamp - crossing.last_agreed_stamp) / NANOSECONDS
     released = run.first("fault_end", since=closing.stamp)
     end = released.stamp if released else crossing.last
-    aligned = align_lag_removed(run.recording, Window(crossing.within, end, end, False), _lag(closing))
+    aligned = align_lag_removed(run.recording, Window(crossing.last_agreed_stamp, end, end, False), _lag_ns(closing))
     if aligned is None:
         return Check("error of the stalled joint", "poses after it stalled", "none that can be compared", False)
     worst = float(np.abs(aligned.errors[:, joint]).max())
@@ -365,6 +361,7 @@ def _worst_errors(run: Run) -> np.ndarray:
     feedback = recording.feedback
     if feedback is None:
         return np.degrees(worst)
+    # without a command stamp: against the twin's pose at that time
     present = window.contains(feedback.stamps) & (feedback.command_stamps == 0)
     if present.any():
         path = TwinPath(recording.twin, window.start)

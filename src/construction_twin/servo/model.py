@@ -28,7 +28,7 @@ STEADY = NANOSECONDS // 5
 
 
 def keeps_pace(advance: int, elapsed: int) -> bool:
-    """Return whether a step through the stream, `advance`, was as long as its time, `elapsed`, but for what a clock drifts [ns]."""
+    """Return whether a stream advanced as far as the time that elapsed, within one part in `PACE` [ns]."""
     return abs(advance - elapsed) <= elapsed // PACE
 
 
@@ -65,11 +65,12 @@ class JointServo:
     backlash: float = 0.0
 
     def lag(self, period: float) -> float:
-        """Return how long it trails a target of constant speed [s]: a held target is half a cycle ahead on average."""
+        """Return the lag behind a target of constant speed [s]."""
+        # a held target is half a cycle ahead on average
         return 2.0 * self.zeta / self.omega + (self.delay - 0.5) * period - self.velocity
 
     def parts(self, period: float) -> tuple[int, _Matrix, _Matrix]:
-        """Return whole cycles of the delay, and the transitions of a cycle's two parts: with the target before, and its own."""
+        """Return the whole cycles of the delay, and a cycle's transitions before and after its target takes effect."""
         whole = int(self.delay)
         first = (self.delay - whole) * period
         return (
@@ -105,7 +106,7 @@ class ServoState:
         self._joints = [_Joint(servo, model.period, start) for servo, start in zip(model.servos, q)]
 
     def configure(self, model: ServoModel) -> None:
-        """Continue with other servos, at rest, without the targets before."""
+        """Replace the servos and drop pending targets; to be called at rest."""
         for joint, servo in zip(self._joints, model.servos):
             joint.configure(servo, model.period)
 
@@ -117,13 +118,12 @@ class ServoState:
 class _Joint:
     """One joint of a `ServoState`."""
 
-    __slots__ = ("_before", "_earlier", "_waiting", "_x", "configured", "position", "speed")
+    __slots__ = ("_last_target", "_target_before", "_waiting", "_x", "configured", "position", "speed")
 
     def __init__(self, servo: JointServo, period: float, start: float):
         self.position = self._x = start
         self.speed = 0.0
-        #: The last target, and the one before it.
-        self._before = self._earlier = start
+        self._last_target = self._target_before = start
         self.configure(servo, period)
 
     def configure(self, servo: JointServo, period: float) -> None:
@@ -139,14 +139,14 @@ class _Joint:
             servo.backlash / 2.0,
         )
         #: References that have no effect yet, the oldest first.
-        self._waiting = [self._before] * (whole + 1)
+        self._waiting = [self._last_target] * (whole + 1)
 
     def advance(self, target: float) -> float:
         """Advance by one cycle to a target; return the position at its end."""
         axx, axv, avx, avv, bxx, bxv, bvx, bvv, velocity, acceleration, play = self.configured
-        step = target - self._before
-        reference = target + velocity * step + acceleration * (step - self._before + self._earlier)
-        self._earlier, self._before = self._before, target
+        step = target - self._last_target
+        reference = target + velocity * step + acceleration * (step - self._last_target + self._target_before)
+        self._target_before, self._last_target = self._last_target, target
         waiting = self._waiting
         waiting.append(reference)
         old, new = waiting[0], waiting[1]

@@ -64,7 +64,6 @@ class TwinBackend(Protocol):
     Attributes:
         effort: Length n. What the axes give [N m], [N]; empty: unknown.
         contacts: What touches and, by the planner, should not: pairs of names.
-        fault: One sentence about what is simulated otherwise than it should be; empty: nothing is.
     """
 
     effort: tuple[float, ...]
@@ -72,7 +71,7 @@ class TwinBackend(Protocol):
 
     @property
     def fault(self) -> str:
-        """See above."""
+        """Deviation of the simulation, in one sentence; "": it runs as it should."""
 
     def restart(self) -> None:
         """Forget where the arm is: the next cycle begins at rest, at the pose that is commanded then."""
@@ -116,7 +115,7 @@ class MirrorTwin:
         return not self._follower.settling
 
     def follow(self, stamp: int, q: tuple[float, ...]) -> tuple[float, ...] | None:
-        """Return the twin's pose after a measured one and the cycles since the last; None when that is not newer."""
+        """Follow a measured pose over the cycles since the last one; return the twin's pose, None for a stamp that is not newer."""
         if stamp <= self._stamp:
             return None
         cycles = min(max(1, round((stamp - self._stamp) / CYCLE_NS)), MOST_CYCLES) if self._stamp else 1
@@ -165,7 +164,7 @@ class VirtualRobot:
         self.pose, self.stamp, self._executing, self._mirror = None, 0, False, None
 
     def begin_mirror(self, limits: MotionLimits) -> None:
-        """Follow the arm from the present pose on; nothing while no pose is held. Commands are refused until the end."""
+        """Follow the arm from the held pose on, if there is one, and refuse commands until `end_mirror`."""
         if self.pose is not None and self._mirror is None:
             self._mirror, self._executing = MirrorTwin(limits, self.pose), False
 
@@ -216,8 +215,8 @@ class TwinClock:
         self._published = 0
         self._last_command: int | None = None
 
-    def is_earlier(self, stamp: int, last: int, now: int) -> bool:
-        """Return whether a command, received `now`, begins a stream on an earlier clock than the `last` one's stamp [ns]."""
+    def is_set_back(self, stamp: int, last: int, now: int) -> bool:
+        """Return whether a command received at `now` begins a stream on a clock that was set back; `last`: stamp before [ns]."""
         if self._last_command is None:
             return stamp < self._published - ANOTHER_CLOCK
         return now - self._last_command >= SILENCE and stamp < last - ANOTHER_CLOCK
@@ -232,7 +231,7 @@ class TwinClock:
         return (self._last_command is None or now - self._last_command >= SILENCE) and self._is_newer(now)
 
     def idle(self, now: int) -> int:
-        """Return for how long `on_cycle` says no, unless all is forgotten meanwhile [ns]; at most `SILENCE`."""
+        """Return the time until `on_cycle` may publish [ns], at most `SILENCE`; `restart` ends it early."""
         return 0 if self._last_command is None else min(max(self._last_command + SILENCE - now, 0), SILENCE)
 
     def _is_newer(self, stamp: int) -> bool:

@@ -32,7 +32,7 @@ from construction_twin.execution.engagement import (
     Engagement,
     check_way_back,
     engagement_of,
-    follow,
+    first_deviation,
     read_engagement,
     write_engagement,
 )
@@ -378,17 +378,17 @@ def smooth(poses: np.ndarray):
 def test_a_polyline_is_followed_corner_by_corner():
     way = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
     along = np.array([[0.0, 0.0], [0.5, 0.0], [1.0, 0.0], [1.0, 0.5], [1.0, 1.0]])
-    assert follow(way, along) is None
+    assert first_deviation(way, along) is None
     # backwards, beside it, and not to the end
-    assert follow(way, along[[0, 1, 2, 1]]) == 3
-    assert follow(way, along + [[0.0, 0.0], [0.0, 3 * WAY_BACK_TOLERANCE], [0, 0], [0, 0], [0, 0]]) == 1
-    assert follow(way, along[:4]) == 3
+    assert first_deviation(way, along[[0, 1, 2, 1]]) == 3
+    assert first_deviation(way, along + [[0.0, 0.0], [0.0, 3 * WAY_BACK_TOLERANCE], [0, 0], [0, 0], [0, 0]]) == 1
+    assert first_deviation(way, along[:4]) == 3
 
 
 def test_a_way_there_and_back_is_not_left_out():
     way = np.array([[0.0, 0.0], [1.0, 0.0], [0.2, 0.0]])
-    assert follow(way, np.array([[0.0, 0.0], [0.1, 0.0], [0.2, 0.0]])) == 2
-    assert follow(way, np.array([[0.0, 0.0], [0.5, 0.0], [1.0, 0.0], [0.6, 0.0], [0.2, 0.0]])) is None
+    assert first_deviation(way, np.array([[0.0, 0.0], [0.1, 0.0], [0.2, 0.0]])) == 2
+    assert first_deviation(way, np.array([[0.0, 0.0], [0.5, 0.0], [1.0, 0.0], [0.6, 0.0], [0.2, 0.0]])) is None
 
 
 class TestExecutedPath:

@@ -350,12 +350,12 @@ def write_or_print(file: str, text: str) -> bool:
 def _print_report(message: Any) -> RehearsalReport:
     """Print what a rehearsal has found, and return it; ConstructionTwinError where its hash is not its own."""
     from construction_twin.evaluation.tables import table_console
-    from construction_twin.review.rehearsal_report import RehearsalReport, matches_hash
+    from construction_twin.review.rehearsal_report import RehearsalReport, is_consistent
     from construction_twin.ros.messages.records import from_msg
     from construction_twin.views.rehearsal_table import rehearsal_table
 
     report = from_msg(RehearsalReport, message)
-    if not matches_hash(report):
+    if not is_consistent(report):
         raise ConstructionTwinError(f"the rehearsal of plan {report.plan_id!r} is not what its hash says")
     table_console().print(rehearsal_table(report))
     return report

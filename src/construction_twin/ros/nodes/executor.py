@@ -31,7 +31,7 @@ from construction_twin.execution.upkeep import DiskWriter, ExecutionReporter, Pe
 from construction_twin.monitor.states import SyncState
 from construction_twin.review.plan_under_review import EXECUTOR, REJECTED, Verdict
 from construction_twin.review.record import Responsibility, ReviewLog
-from construction_twin.review.rehearsal_report import RehearsalCheck, RehearsalReport, matches_hash
+from construction_twin.review.rehearsal_report import RehearsalCheck, RehearsalReport, is_consistent
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.tool import tool_hash
 from construction_twin.ros.messages.convert import engagement_to_msg, order_to_msg, plan_from_msg, tool_report_from_msg
@@ -69,7 +69,7 @@ def _run_unguarded(_what: str, part: Callable[..., _Result], *arguments: object)
 
 
 class ExecutorNode:
-    """ROS around an `Executor`, whose lock it holds for every use. A method for each of 18 topics and services."""
+    """ROS around an `Executor`, used under one lock."""
 
     def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
         self._node_io, self._diagnostics = node_io, node_io.diagnostics
@@ -160,7 +160,7 @@ class ExecutorNode:
     def on_rehearsal(self, message: msg.Rehearsal) -> None:
         """Store the report of a rehearsal."""
         report = from_msg(RehearsalReport, message)
-        if not matches_hash(report):
+        if not is_consistent(report):
             raise PayloadError("rehearsal", f"the rehearsal of plan {report.plan_id!r} is not what its hash says")
         with self._lock:
             self._approval.rehearsal.on_report(report)

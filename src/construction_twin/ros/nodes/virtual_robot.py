@@ -131,11 +131,11 @@ class VirtualRobotNode:
     def on_command(self, stamp: int, q: tuple[float, ...]) -> None:
         """Execute a command [rad] with its stamp [ns]."""
         with self._lock:
-            earlier = self._clock.is_earlier(stamp, self._robot.stamp, self._cycles.now())
-            if earlier:
+            set_back = self._clock.is_set_back(stamp, self._robot.stamp, self._cycles.now())
+            if set_back:
                 self._robot.begin_stream()
             if self._robot.execute(stamp, q):
-                if earlier:
+                if set_back:
                     self._clock.restart()
                     self._cycles.begin_at(stamp)
                 self._advance(stamp, q, self._clock.on_command(stamp, self._cycles.reach(stamp)))

@@ -12,7 +12,7 @@ from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.kinematics.chain import Chain
 from construction_twin.msg import Execution, Plan, Rehearsal, Review
 from construction_twin.msg import Scene as SceneMsg
-from construction_twin.review.rehearsal_report import RehearsalReport, matches_hash
+from construction_twin.review.rehearsal_report import RehearsalReport, is_consistent
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.plan import Plan as MadePlan
@@ -100,7 +100,7 @@ class PlanDisplay:
     def on_rehearsal(self, message: Rehearsal) -> None:
         """Show what the rehearsal of the plan under review has found."""
         report = from_msg(RehearsalReport, message)
-        if not matches_hash(report) or len(report.worst_pose) not in (0, len(self._robot.joint_names)):
+        if not is_consistent(report) or len(report.worst_pose) not in (0, len(self._robot.joint_names)):
             self._refuse("rehearsal", f"the rehearsal of plan {report.plan_id!r} is not what its hash says")
             return
         with self._news:

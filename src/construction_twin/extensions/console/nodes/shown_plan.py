@@ -24,7 +24,7 @@ from construction_twin.extensions.console.remote_review import (
     UseView,
 )
 from construction_twin.msg import Link, Plan, PlanCaller, Rehearsal, Review, Signal
-from construction_twin.review.rehearsal_report import RehearsalReport, matches_hash
+from construction_twin.review.rehearsal_report import RehearsalReport, is_consistent
 from construction_twin.robot.segments import segments_content
 from construction_twin.ros.messages.convert import plan_from_msg
 from construction_twin.ros.messages.records import from_msg
@@ -70,7 +70,7 @@ class ShownPlan:
     def on_rehearsal(self, message: Rehearsal) -> None:
         """Publish a rehearsal until its plan is decided."""
         report = from_msg(RehearsalReport, message)
-        if not matches_hash(report):
+        if not is_consistent(report):
             self._connection.refuse("rehearsal", f"the rehearsal of plan {report.plan_id!r} is not what its hash says")
             return
         with self._lock:
