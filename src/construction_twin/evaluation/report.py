@@ -27,9 +27,9 @@ from construction_twin.evaluation.tables import (
     ALIGNMENTS,
     NOTE,
     TableRow,
-    axis_name,
     entry,
     facts,
+    paper_axis,
     remarks,
     summarise,
     table_csv,
@@ -73,7 +73,7 @@ def _draw_joints(axes, evaluation: Evaluation, numbers: Sequence[int]) -> None:
         seconds = (stream.stamps[inside] - window.start) / NANOSECONDS
         for number in numbers:
             joint = recording.joint_names[number]
-            label = f"{axis_name(joint) or joint} {name}"
+            label = f"{paper_axis(joint) or joint} {name}"
             values = stream.positions[inside, number]
             colour = COLOURS[number % len(COLOURS)]
             order = 2 if name == "twin" else 1
