@@ -12,12 +12,12 @@ from distance_to_speed import SeparationLimit, SpeedTable
 from sensor_msgs.msg import Range
 
 from construction_twin.core.errors import PayloadError
-from construction_twin.core.validation import StrictModel
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.shared.diagnostics import OK, WARN, Diagnosis, NodeDiagnostics
 from construction_twin.ros.shared.node_shell import Interface, NodeIO, NodeShell, NodeTimer, Publication, Subscription
 from construction_twin.ros.transport.joint_stream import from_time
 from construction_twin.ros.transport.publisher import AnyPublisher
+from construction_twin.validation import StrictModel
 
 
 class Settings(StrictModel):

@@ -23,7 +23,6 @@ from construction_twin.core.extensions import check_extras, import_extension
 from construction_twin.core.realtime import request_realtime
 from construction_twin.core.share import share_file
 from construction_twin.core.units import from_wire, to_wire
-from construction_twin.core.validation import StrictModel
 from construction_twin.mock.config import MockConfig
 from construction_twin.mock.controller import ForwardKinematics, MockController
 from construction_twin.mock.gripper import Gripper
@@ -31,6 +30,7 @@ from construction_twin.mock.network import MockRsi
 from construction_twin.mock.servo import IdealServo, RealisticServo, Servo
 from construction_twin.robot.description import RobotModel, read_robot_files
 from construction_twin.robot.tool import read_tool, tool_of
+from construction_twin.validation import StrictModel
 
 log = logging.getLogger(__name__)
 

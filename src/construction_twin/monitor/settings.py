@@ -9,8 +9,8 @@ import yaml
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.limits import MotionLimits
-from construction_twin.core.validation import StrictModel
 from construction_twin.monitor.comparison import ALIGNED, ComparisonSettings
+from construction_twin.validation import StrictModel
 
 #: What may happen after a violation.
 REPLAN, RESUME, STOP = "replan", "resume", "stop"

@@ -18,7 +18,6 @@ from construction_twin.core.freshness import Moment
 from construction_twin.core.limits import OUTSIDE
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.share import share_file
-from construction_twin.core.validation import StrictModel
 from construction_twin.kinematics.chain import Pose
 from construction_twin.kinematics.solution import Configuration, InverseKinematics
 from construction_twin.planning.motion_validator import CornerRounding, MotionValidator
@@ -33,6 +32,7 @@ from construction_twin.robot.segments import Segment
 from construction_twin.robot.trajectory import Trajectory
 from construction_twin.robot.urdf import read_text
 from construction_twin.scene.collision_world import CollisionWorld
+from construction_twin.validation import StrictModel
 
 #: How often a path is timed, each time with corners half as wide, before another path is searched.
 TIMINGS_TRIED = 3

@@ -18,9 +18,9 @@ from urdf_parser_py.urdf import URDF, Joint
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import radians
-from construction_twin.core.validation import StrictModel
 from construction_twin.robot.motion_errors import JointRangeError
 from construction_twin.robot.urdf import chain_joints, expand_xacro, parse_urdf, read_yaml, xacro_arguments
+from construction_twin.validation import StrictModel
 
 #: A joint vector, shape (n,), as callers may pass it; functions that calculate with it convert it.
 JointValues = Sequence[float] | np.ndarray

@@ -10,9 +10,9 @@ from typing import Annotated, Literal
 import pydantic
 
 from construction_twin.core.errors import ConfigurationError, system_message
-from construction_twin.core.validation import StrictModel
 from construction_twin.robot.segments import Signal, Switch
 from construction_twin.robot.urdf import read_yaml
+from construction_twin.validation import StrictModel
 
 _Name = Annotated[str, pydantic.Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=24)]
 _Finite = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=-1e4, le=1e4)]

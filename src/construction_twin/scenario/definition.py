@@ -12,8 +12,8 @@ import pydantic
 
 from construction_twin.core.errors import ConstructionTwinError
 from construction_twin.core.units import radians
-from construction_twin.core.validation import StrictModel, wrong_value
 from construction_twin.mock.faults import KINDS
+from construction_twin.validation import StrictModel, wrong_value
 
 _Positive = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
 _NotNegative = Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)]

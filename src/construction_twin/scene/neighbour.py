@@ -18,13 +18,13 @@ import pinocchio
 import pydantic
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.validation import StrictModel, wrong_value
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.frames import rpy_to_rotation
 from construction_twin.scene.collision_bodies import Body, RobotBodies
 from construction_twin.scene.distance_bounds import body_levers
 from construction_twin.scene.objects import SceneObject, relative
+from construction_twin.validation import StrictModel, wrong_value
 
 _Metres = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=-1e4, le=1e4)]
 _Degrees = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=-360.0, le=360.0)]

@@ -10,10 +10,10 @@ import pydantic
 import yaml
 
 from construction_twin.core.errors import system_message
-from construction_twin.core.validation import StrictModel, wrong_value
 from construction_twin.robot.frames import rpy_to_quaternion
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.validation import StrictModel, wrong_value
 
 #: Stands for the path of a scene without objects and padding: roslaunch drops an argument that is empty.
 NONE = "none"

@@ -20,10 +20,10 @@ import pydantic
 from urdf_parser_py.urdf import URDF
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.validation import StrictModel
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.urdf import parse_urdf, read_yaml
 from construction_twin.scene.collision_bodies import RobotBodies, configure_distances, shape_contents
+from construction_twin.validation import StrictModel
 
 #: Pair of link names.
 Pair = tuple[str, str]

@@ -19,7 +19,7 @@ import yaml
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.core.validation import StrictModel
+from construction_twin.validation import StrictModel
 
 #: A playout that is slower or faster than its stream by more than one part in so many does not move the arm as commanded.
 PACE = 20

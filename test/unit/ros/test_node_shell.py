@@ -6,7 +6,6 @@ import importlib
 import pkgutil
 from pathlib import Path
 
-import pydantic
 import pytest
 import rospy
 from chain_samples import ROBOT
@@ -31,6 +30,7 @@ from construction_twin.ros.shared.node_shell import (
     SharedParameter,
     Subscription,
 )
+from construction_twin.validation import StrictModel
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -42,7 +42,7 @@ def shells() -> dict[str, NodeShell]:
     return {each.NODE.name: each.NODE for each in modules if hasattr(each, "NODE")}
 
 
-class Settings(pydantic.BaseModel):
+class Settings(StrictModel):
     rate: float
 
 
@@ -77,7 +77,7 @@ def test_parameters_with_which_it_cannot_work_are_refused_before_it_is_made(monk
 def test_every_node_runs_its_shell():
     programs = {path.name for path in (ROOT / "nodes").iterdir() if path.is_file()}
     for name, shell in shells().items():
-        assert name in programs and issubclass(shell.settings, pydantic.BaseModel)
+        assert name in programs and issubclass(shell.settings, StrictModel)
 
 
 class Node:

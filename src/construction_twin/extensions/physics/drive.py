@@ -13,9 +13,9 @@ from typing import Annotated, Literal
 import pydantic
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.validation import StrictModel
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.urdf import parse_urdf, read_yaml
+from construction_twin.validation import StrictModel
 
 _Positive = Annotated[float, pydantic.Field(gt=0.0, le=1e7, allow_inf_nan=False)]
 _NotNegative = Annotated[float, pydantic.Field(ge=0.0, le=1e7, allow_inf_nan=False)]

@@ -19,13 +19,13 @@ import pydantic
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.sentences import Sentence
-from construction_twin.core.validation import StrictModel
 from construction_twin.extensions.work.building import Element, Task, Value, WorkError
 from construction_twin.kinematics.chain import Pose
 from construction_twin.planning.work_segment import WorkSegment
 from construction_twin.robot.tool import Tool
 from construction_twin.robot.urdf import read_yaml
 from construction_twin.scene.objects import Scene, SceneObject
+from construction_twin.validation import StrictModel
 
 #: The model's own property set for this package.
 PROPERTY_SET = "CTwin_RobotTask"

@@ -10,7 +10,6 @@ import numpy as np
 import pydantic
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.validation import StrictModel
 from construction_twin.extensions.work.process import Finite, Match, Recipes, read_recipes
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.frames import rpy_to_rotation
@@ -18,6 +17,7 @@ from construction_twin.robot.tool import FilePose, ToolFile, read_tool
 from construction_twin.robot.urdf import read_yaml
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_yaml import read_scene
+from construction_twin.validation import StrictModel
 
 _Count = Annotated[int, pydantic.Field(ge=1, le=10000)]
 _Step = Annotated[float, pydantic.Field(allow_inf_nan=False, gt=0.0, le=100.0)]

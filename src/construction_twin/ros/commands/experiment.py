@@ -15,7 +15,6 @@ from rich.console import Console
 from construction_twin.core.errors import ConstructionTwinError, command_message
 from construction_twin.core.files import check_writable
 from construction_twin.core.units import from_wire
-from construction_twin.core.validation import StrictModel
 from construction_twin.evaluation.bag import read_recording
 from construction_twin.evaluation.report import Report, write_report
 from construction_twin.evaluation.tables import render_tables, table_console
@@ -28,6 +27,7 @@ from construction_twin.ros.shared.master import await_master
 from construction_twin.ros.shared.node import ending_on_signals
 from construction_twin.ros.shared.params import Parameters, read_parameters, robot_from_parameters
 from construction_twin.ros.transport.subscriber import Subscriber
+from construction_twin.validation import StrictModel
 
 #: The bridge reports the gateway's counters this often [s]; the recording goes on until they include the task's end.
 _REPORT_PERIOD = 1.0

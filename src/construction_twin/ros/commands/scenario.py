@@ -28,7 +28,6 @@ from construction_twin.core.errors import ConfigurationError, ConstructionTwinEr
 from construction_twin.core.extensions import node_modules
 from construction_twin.core.files import check_writable
 from construction_twin.core.limits import MotionLimits
-from construction_twin.core.validation import StrictModel
 from construction_twin.evaluation.bag import (
     ARM,
     EXECUTION,
@@ -57,6 +56,7 @@ from construction_twin.scenario.definition import STATES, Injection, Move, Scena
 from construction_twin.scenario.judge import Judgement, judge
 from construction_twin.scenario.timeline import Change, GatewayStop, Run, SyncMoment
 from construction_twin.srv import InjectFault, ReviewPlan
+from construction_twin.validation import StrictModel
 
 
 def print_verdict(verdict: Judgement, console: Console) -> None:

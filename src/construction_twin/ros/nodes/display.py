@@ -22,7 +22,6 @@ from visualization_msgs.msg import MarkerArray
 
 from construction_twin.core.reports import HoldReport
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.core.validation import StrictModel
 from construction_twin.kinematics.chain import Chain, Pose, to_frame, to_kdl
 from construction_twin.monitor.states import SyncState
 from construction_twin.msg import Execution, Hold, Plan, Rehearsal, Review, Scene, Sync
@@ -43,6 +42,7 @@ from construction_twin.ros.shared.plan_display import PlanDisplay
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.scene.neighbour import load_cell
 from construction_twin.srv import PreviewPlan
+from construction_twin.validation import StrictModel
 from construction_twin.views.texts import hold_cause
 
 #: Between two messages with velocities, which are means over it, and between two poses that people look at [s].

@@ -20,7 +20,6 @@ from construction_twin.core.limits import MotionLimits
 from construction_twin.core.reports import HoldReport, SpeedChange
 from construction_twin.core.sentences import Sentence
 from construction_twin.core.speed_limit import LimitState, SpeedLimit
-from construction_twin.core.validation import StrictModel
 from construction_twin.gateway.config import GatewayConfig
 from construction_twin.link.speed_limits import NOBODY, UNKNOWN, SpeedLimits, read_people, write_people
 from construction_twin.monitor.gate import Cause, Gate
@@ -37,6 +36,7 @@ from construction_twin.ros.shared.params import NodeSettings, SavedParameter, ro
 from construction_twin.ros.transport.joint_stream import now_ns, to_time
 from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.servo.model import read_servos
+from construction_twin.validation import StrictModel
 
 #: Setpoints kept while the gate is busy, 0.1 s: what is older it does not let pass.
 SETPOINTS_KEPT = 25

@@ -20,7 +20,6 @@ from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError, PayloadError, PoseUnknownError
 from construction_twin.core.extensions import ExtensionAbsent, import_extension
 from construction_twin.core.files import read_file, write_atomically
-from construction_twin.core.validation import StrictModel, wrong_value
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.ros.messages.convert import pose_from_msg
@@ -37,6 +36,7 @@ from construction_twin.scene.objects import Scene, SceneObject, product, relativ
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.scene.scene_yaml import read_scene
 from construction_twin.scene.self_collision import read_self_collision
+from construction_twin.validation import StrictModel, wrong_value
 
 #: Oldest pose of the twin that counts as its present one; longest wait for it and for a transform [s].
 _PATIENCE = 1.0

@@ -18,7 +18,6 @@ import rospy
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.share import share_folder
-from construction_twin.core.validation import StrictModel
 from construction_twin.msg import Feedback, Scene, StartRefused
 from construction_twin.robot.description import RobotModel, other_joints_text
 from construction_twin.ros.shared import node_shell as shell
@@ -26,6 +25,7 @@ from construction_twin.ros.shared.diagnostics import ERROR, OK, WARN, Diagnosis,
 from construction_twin.ros.shared.robot_client import REPORTS, RobotListener
 from construction_twin.ros.shared.start_refusal import RESTART_DELAY, TOPIC, launch_id
 from construction_twin.ros.transport.subscriber import Subscriber, caller_of
+from construction_twin.validation import StrictModel
 from construction_twin.views.startup import Deployment, ReportedState, StartUp, StartupInputs
 
 #: How often it checks [s].

@@ -27,7 +27,6 @@ from visualization_msgs.msg import (
 )
 
 from construction_twin.core.errors import ConstructionTwinError, PayloadError, PoseUnknownError, RequestRefused
-from construction_twin.core.validation import StrictModel
 from construction_twin.kinematics.chain import Chain, Pose
 from construction_twin.kinematics.inverse import IkSettings, inverse_kinematics
 from construction_twin.link.requests import GoalRequest, ReviewRequest
@@ -46,6 +45,7 @@ from construction_twin.ros.transport.subscriber import PUBLISHER, caller_of
 from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import read_self_collision
+from construction_twin.validation import StrictModel
 from construction_twin.views.reachability import PoseVerdict, Reach, judge_pose
 from construction_twin.views.texts import waiting_plan
 

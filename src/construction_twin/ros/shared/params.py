@@ -13,8 +13,8 @@ import rospy
 
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.core.units import NANOSECONDS
-from construction_twin.core.validation import StrictModel
 from construction_twin.robot.description import RobotModel, load_robot
+from construction_twin.validation import StrictModel
 
 Settings = TypeVar("Settings", bound=StrictModel)
 

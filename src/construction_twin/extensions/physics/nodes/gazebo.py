@@ -26,7 +26,6 @@ import rospy
 
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.files import write_atomically
-from construction_twin.core.validation import StrictModel
 from construction_twin.extensions.physics.drive import ArmDrives, read_drives
 from construction_twin.extensions.physics.mass import (
     FRICTION,
@@ -47,6 +46,7 @@ from construction_twin.ros.shared.node_shell import Interface, NodeIO, NodeShell
 from construction_twin.ros.shared.params import ros_home
 from construction_twin.scene.collision_bodies import Body, RobotBodies, mesh_triangles
 from construction_twin.scene.objects import Scene
+from construction_twin.validation import StrictModel
 
 #: How often the main thread looks whether this process is to end [s].
 _AWAKE = 0.5

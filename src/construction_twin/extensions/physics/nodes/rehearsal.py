@@ -17,7 +17,6 @@ import rospy
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError
 from construction_twin.core.extensions import check_extras
 from construction_twin.core.sentences import Sentence
-from construction_twin.core.validation import StrictModel
 from construction_twin.core.worker import Worker
 from construction_twin.extensions.physics.drive import read_drives
 from construction_twin.extensions.physics.known_mass import element_masses, tool_mass
@@ -40,6 +39,7 @@ from construction_twin.ros.transport.joint_stream import now_ns
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.scene_change import SceneChange
 from construction_twin.scene.self_collision import read_self_collision
+from construction_twin.validation import StrictModel
 
 #: A plan may come so long before the scene that it begins in [s].
 SCENE_DELAY = 1.0

@@ -18,7 +18,6 @@ import pydantic
 import rospy
 from actionlib import ServerGoalHandle
 
-from construction_twin.core.validation import StrictModel
 from construction_twin.execution.executor import ExecutorState
 from construction_twin.extensions.planners.goal_states import GoalState
 from construction_twin.extensions.planners.joint_tolerances import GoalError, GoalJointsError, Tolerances
@@ -64,6 +63,7 @@ from construction_twin.ros.transport.joint_stream import from_time
 from construction_twin.ros.transport.persistent_service import NO_ANSWER
 from construction_twin.ros.transport.subscriber import caller_of
 from construction_twin.srv import PlanTrajectory, ReviewPlan, StopPlan
+from construction_twin.validation import StrictModel
 
 #: Time between two looks at poses and clock while a goal has the arm, and while none has [s].
 PERIOD, IDLE_PERIOD = 0.02, 0.2

@@ -17,7 +17,6 @@ from construction_twin.core.errors import ConfigurationError, ConstructionTwinEr
 from construction_twin.core.files import check_writable
 from construction_twin.core.records import json_value, to_json
 from construction_twin.core.reports import WorkReport
-from construction_twin.core.validation import StrictModel
 from construction_twin.link.requests import GoalRequest, ReviewRequest
 from construction_twin.msg import Execution, Link, Sync, ToolState, WorkTask, WorkTasks
 from construction_twin.robot.tool import read_tool
@@ -29,6 +28,7 @@ from construction_twin.ros.shared.params import Parameters, read_parameters
 from construction_twin.ros.shared.robot_client import OperatorClient
 from construction_twin.ros.transport.subscriber import Subscriber
 from construction_twin.srv import WorkDecide
+from construction_twin.validation import StrictModel
 
 #: Who approves, for the record.
 PERSON = "make build"

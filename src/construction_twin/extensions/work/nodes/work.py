@@ -18,7 +18,6 @@ from construction_twin import msg, srv
 from construction_twin.core.errors import ConfigurationError, ConstructionTwinError, PayloadError, RequestRefused
 from construction_twin.core.extensions import check_extras, import_extension
 from construction_twin.core.reports import EngagementReport, ExecutionReport
-from construction_twin.core.validation import StrictModel
 from construction_twin.core.worker import Worker
 from construction_twin.extensions.work.loaded_model import WORKER, LoadedModel, glb
 from construction_twin.extensions.work.received_messages import KnownPlan, Received, Verdict
@@ -56,6 +55,7 @@ from construction_twin.ros.shared.node_shell import (
 from construction_twin.ros.shared.params import robot_file, ros_home
 from construction_twin.scene.objects import product
 from construction_twin.scene.scene_change import SceneChange
+from construction_twin.validation import StrictModel
 
 #: The executor's record of verdicts.
 RECORD = "executor/review_file"

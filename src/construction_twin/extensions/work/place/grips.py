@@ -18,11 +18,11 @@ import shapely
 from scipy.spatial import ConvexHull, QhullError
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.core.validation import StrictModel
 from construction_twin.extensions.work.element_bodies import ElementPieces
 from construction_twin.extensions.work.process import Finite, Length, Recipe, Scale, TaskPlanningError, WorkJob
 from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.tool import Cups, Tool
+from construction_twin.validation import StrictModel
 
 _Small = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=0.0, le=10.0)]
 _Turn = Annotated[float, pydantic.Field(allow_inf_nan=False, ge=-360.0, le=360.0)]
