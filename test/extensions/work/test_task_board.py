@@ -75,7 +75,7 @@ def loaded_model(proposed: bool = False) -> LoadedModel:
 
 def board(tmp_path: Path, clock: Clock, proposed: bool = False, robot: str = "kr120") -> TaskBoard:
     ready = loaded_model(proposed)
-    return TaskBoard(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), robot, "tool0")
+    return TaskBoard(ready, Ledger(tmp_path / "ledger", ready.predecessors, ready.digest, clock), robot, "tool0")
 
 
 def build(one: TaskBoard, task: str, until: str = "finished", stands: Pose | None = None) -> None:
@@ -239,7 +239,7 @@ def test_an_element_that_can_never_be_planned_stops_only_what_waits_for_it(tmp_p
     ready = replace(
         ready, stock=StockPlan(slots), elements={**ready.elements, "E2": bodiless}, unplannable={"E2": "no body"}
     )
-    one = TaskBoard(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), "other", "tool0")
+    one = TaskBoard(ready, Ledger(tmp_path / "ledger", ready.predecessors, ready.digest, clock), "other", "tool0")
     build(one, "T1")
     clock.now += MINUTE + 1
     assert one.obstacle("T2", clock()) == f"{STUD} cannot be planned: no body; skip it when it stands"
@@ -332,7 +332,7 @@ def test_what_stands_and_is_no_longer_in_the_model_is_not_tidied_away(tmp_path, 
     for event in ("offered", "begun", "gripping", "gripped", "releasing", "released", "finished"):
         former.add(Entry(event, "T9", "E9", pose=pose_tuple(at(1.0))))
     former.close()
-    ledger = Ledger(tmp_path / "ledger", ready.after, ready.digest, clock, "/cell.yaml", ready.schedule.placing)
+    ledger = Ledger(tmp_path / "ledger", ready.predecessors, ready.digest, clock, "/cell.yaml", ready.schedule.placing)
     one = TaskBoard(ready, ledger, "kr120", "tool0")
     scene = Scene((SceneObject("E9/0", "sphere", (1.0,)), SceneObject("old/0", "sphere", (1.0,))))
     assert {"E9/0", "E1/0"} <= set(scene_of(one, scene).names) and "old/0" not in scene_of(one, scene).names
@@ -367,7 +367,7 @@ def with_removal(tmp_path: Path, clock: Clock) -> TaskBoard:
         elements={**ready.elements, "W1": facts},
         standing=(wall, SceneObject("W2/0", "box", (1.0, 0.1, 1.0), fixed=True)),
     )
-    return TaskBoard(ready, Ledger(tmp_path / "ledger", ready.after, ready.digest, clock), "kr120", "tool0")
+    return TaskBoard(ready, Ledger(tmp_path / "ledger", ready.predecessors, ready.digest, clock), "kr120", "tool0")
 
 
 def test_what_is_to_be_taken_down_stands_and_holds_up_until_a_person_says_that_it_is_gone(tmp_path, clock):
@@ -395,7 +395,7 @@ def test_that_it_is_gone_is_remembered_whatever_model_comes_and_can_be_taken_bac
     one = with_removal(tmp_path, clock)
     decisions.removed(one, "D1", "eva", "")
     one.ledger.close()
-    again = Ledger(tmp_path / "ledger", one.loaded.after, "b" * 64, clock, "", one.loaded.schedule.placing)
+    again = Ledger(tmp_path / "ledger", one.loaded.predecessors, "b" * 64, clock, "", one.loaded.schedule.placing)
     other = TaskBoard(one.loaded, again, "kr120", "tool0")
     assert "W1/0" not in other.built.wanted_scene()[0] and again.states.in_state(TaskState.ASKS) == ()
     assert "standing again" in decisions.redo(other, "D1", "eva", "wrong wall")
@@ -409,13 +409,13 @@ def test_what_the_arm_placed_stands_as_built_when_the_model_calls_it_completed(t
     built = at(1.003, 1.0)
     build(one, "T1", stands=built)
     one.ledger.close()
-    later = replace(
+    new = replace(
         one.loaded,
         schedule=Schedule(JOBS[1:2], ()),
         digest="b" * 64,
         elements={"E2": one.loaded.elements["E2"]},
         standing=(SceneObject("E1/0", "box", (0.1, 0.1, 0.1), (1.0, 1.0, 0.0), fixed=True),),
     )
-    ledger = Ledger(tmp_path / "ledger", later.after, later.digest, clock, "", {"E2": "T2"}, later.standing_elements)
-    again = TaskBoard(later, ledger, "kr120", "tool0")
+    ledger = Ledger(tmp_path / "ledger", new.predecessors, new.digest, clock, "", {"E2": "T2"}, new.standing_elements)
+    again = TaskBoard(new, ledger, "kr120", "tool0")
     assert again.states.asking == () and np.allclose(again.built.wanted_scene()[0]["E1/0"].position, (1.003, 1.0, 0.0))

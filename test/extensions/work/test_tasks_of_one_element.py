@@ -163,7 +163,7 @@ def test_an_element_is_placed_then_touched_where_it_stands_and_each_is_in_the_le
     assert [one.id for one in made.schedule.jobs] == [work.place, work.touch, work.other]
     assert list(made.stock.slots) == [element_id, made.schedule.job(work.other).element]
     board = TaskBoard(
-        made, Ledger(tmp_path / "l", made.after, made.digest, count(10**18).__next__), "kr120", robot().tip_link
+        made, Ledger(tmp_path / "l", made.predecessors, made.digest, count(10**18).__next__), "kr120", robot().tip_link
     )
     surroundings = work_cell(tmp_path, {"recipes": str(recipes_file(tmp_path))}).scene
 
@@ -205,7 +205,7 @@ def test_an_element_is_placed_then_touched_where_it_stands_and_each_is_in_the_le
         (entry.task, entry.event, entry.process) for entry in read_entries(tmp_path / "l") if entry.event == "offered"
     ]
     assert written == [(work.place, "offered", ""), (work.touch, "offered", "touch")]
-    again = Ledger(tmp_path / "l", made.after, made.digest, lambda: 1)
+    again = Ledger(tmp_path / "l", made.predecessors, made.digest, lambda: 1)
     assert again.states.tasks[work.place].placed and again.states.open == (work.other,)
     again.close()
 
@@ -217,7 +217,7 @@ def of_two(tmp_path, model="a" * 64) -> TaskBoard:
     """A task board whose one element is placed, then touched."""
     ready = loaded_model()
     times = count(10**18)
-    ledger = Ledger(tmp_path / "l", ready.after, model, times.__next__, "", ready.schedule.placing)
+    ledger = Ledger(tmp_path / "l", ready.predecessors, model, times.__next__, "", ready.schedule.placing)
     return TaskBoard(ready, ledger, "kr120", "tool0")
 
 
@@ -293,7 +293,7 @@ def test_what_a_former_task_placed_is_touched_there_and_only_what_moves_it_is_as
     ready = loaded_model()
     alone = replace(ready.schedule.job(TOUCH), after=())
     ready = replace(ready, schedule=Schedule((alone,), ()), digest="b" * 64)
-    ledger = Ledger(tmp_path / "l", ready.after, ready.digest, lambda: 1, "", {}, ready.standing_elements)
+    ledger = Ledger(tmp_path / "l", ready.predecessors, ready.digest, lambda: 1, "", {}, ready.standing_elements)
     again = TaskBoard(ready, ledger, "kr120", "tool0")
     assert again.next(NOW) == TOUCH and again.built.wanted_scene()[0][f"{ELEMENT}/0"] == stands
     done(again, TOUCH)
@@ -306,7 +306,7 @@ def test_what_was_taken_down_is_not_worked_on(tmp_path):
     removal = Job("D", "D", "Take down", ELEMENT, (), ())
     touch = replace(ready.schedule.job(TOUCH), after=())
     ready = replace(ready, schedule=Schedule((touch,), (), False, (removal,)))
-    one = TaskBoard(ready, Ledger(tmp_path / "l", ready.after, ready.digest, lambda: 1), "kr120", "tool0")
+    one = TaskBoard(ready, Ledger(tmp_path / "l", ready.predecessors, ready.digest, lambda: 1), "kr120", "tool0")
     assert one.next(NOW) == TOUCH and f"{ELEMENT}/0" in one.built.wanted_scene()[0]
     decisions.removed(one, "D", "eva", "")
     assert "was taken down" in one.obstacle(TOUCH, NOW) and f"{ELEMENT}/0" not in one.built.wanted_scene()[0]

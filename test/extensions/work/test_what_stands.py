@@ -54,7 +54,7 @@ def opened(folder: Path, ready: LoadedModel, name: str = "kr120_deck", robot: st
     """Return the board as the node opens it."""
     times = count(NOW)
     ledger = Ledger(
-        folder / f"{name}.jsonl", ready.after, ready.digest, times.__next__, ready.cell, ready.schedule.placing,
+        folder / f"{name}.jsonl", ready.predecessors, ready.digest, times.__next__, ready.cell, ready.schedule.placing,
         ready.standing_elements, robot, ready.model_elements,
     )  # fmt: skip
     board = TaskBoard(ready, ledger, robot, "tool0")

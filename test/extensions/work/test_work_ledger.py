@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from construction_twin.core.errors import ConfigurationError
-from construction_twin.extensions.work.ledger import Ledger, LedgerError, fold, read_entries
+from construction_twin.extensions.work.ledger import Ledger, LedgerError, initial_states, read_entries
 from construction_twin.extensions.work.task_memory import (
     CHANGES,
     PLANNABLE,
@@ -147,7 +147,7 @@ def test_skipped_tasks_free_others_and_redone_ones_block_them(tmp_path):
     book.add(Entry("redone", "stud", person="eva"))
     assert book.states.in_state(TaskState.WAITING) == ("board",)
     book.add(Entry("measured", "plate", pose=STANDS, person="eva"))
-    assert book.states.tasks["plate"].placed and book.states.tasks["plate"].measured == "eva"
+    assert book.states.tasks["plate"].placed and book.states.tasks["plate"].measured_by == "eva"
 
 
 def test_a_task_that_others_stand_on_is_named(tmp_path):
@@ -285,7 +285,7 @@ def test_an_element_is_in_one_place_only(events):
     )
 )
 def test_a_task_waits_exactly_while_another_one_before_it_is_not_settled(events):
-    book = fold(AFTER)
+    book = initial_states(AFTER, {})
     for task, event, answer in events:
         entry = Entry(event.value, task, answer=answer)
         if event not in (TaskEvent.FREED, TaskEvent.BLOCKED) and book.tasks[task].accepts(entry):

@@ -1,4 +1,4 @@
-"""Recipes: which one is chosen, what the model overrides, which masses are refused."""
+"""Recipes: which one is chosen, which keys and masses are refused."""
 
 from __future__ import annotations
 

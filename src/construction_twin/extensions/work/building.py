@@ -247,7 +247,7 @@ _PROJECTS = "IfcProjectionElement"
 
 
 def parts_of(elements: Mapping[str, Element], whole: str) -> list[str]:
-    """Return what is a part of an element, or of a part of it, or what a group holds; nearest first."""
+    """Return the parts of an element, or the members of a group, nested ones included, nearest first."""
     return _below(_dependents(elements)[0], whole)
 
 

@@ -72,7 +72,7 @@ def removed(board: TaskBoard, task: str, person: str, reason: str) -> str:
 
 
 def redo(board: TaskBoard, task: str, person: str, reason: str) -> str:
-    """Have a task done again, its element back in stock; one that counts as carried is asked about."""
+    """Reopen a task that is done, skipped or held; ask about one whose element counts as carried."""
     state = _memory(board, task, person).state
     if state is TaskState.CARRIED:
         board.add(Entry("unknown", task, person=person, reason=reason or "a person doubts that it is in the grip"))
@@ -150,9 +150,9 @@ def _require_free_slot(board: TaskBoard, task: str) -> None:
 
 
 def _memory(board: TaskBoard, task: str, person: str, former: bool = False) -> TaskMemory:
-    if task not in board.states.after and task not in board.states.former:
+    if task not in board.states.predecessors and task not in board.states.former:
         raise WorkRefused(f"there is no task {task!r}; `twin work list` names them")
-    if task not in board.states.after and not former:
+    if task not in board.states.predecessors and not former:
         name = board.built.element(task).name
         raise WorkRefused(f"{name} is not in the model any more; once it is taken away, say {removed_command(name)}")
     _require_person(person)

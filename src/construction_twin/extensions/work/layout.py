@@ -65,6 +65,7 @@ class StockPlan:
         return ""
 
     def _unit(self, slot: Slot) -> tuple[str, int]:
+        """Return the rack and slot that are refilled together; -1: the whole stack."""
         return slot.rack, -1 if slot.rack in self.stacks else slot.number
 
 

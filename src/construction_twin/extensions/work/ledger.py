@@ -20,11 +20,11 @@ from construction_twin.extensions.work.building import WorkError
 from construction_twin.extensions.work.task_memory import (
     ACCEPTED,
     CHANGED,
+    FROM_PLAN,
     MENDED,
     NOT_IN_MODEL,
     OF_NO_TASK,
     OPENED,
-    PLANNED,
     SETTLED,
     UNDER_WAY,
     Entry,
@@ -57,17 +57,17 @@ class ModelElement:
 
 @dataclass(frozen=True, eq=False)
 class TaskStates:
-    """The state of every task after some events; made by `fold`.
+    """The state of every task after some events; made by `replay`.
 
     Attributes:
-        after: The tasks that each task of the schedule waits for, in an order in which they can be done.
+        predecessors: The tasks that each task of the schedule waits for, in an order in which they can be done.
         tasks: In that order; behind them those of former schedules.
         elements: The element of each task of the schedule, where known.
         accepted: Digest of the accepted schedule.
         model, cell: The last SHA-256 and path.
     """
 
-    after: Mapping[str, tuple[str, ...]]
+    predecessors: Mapping[str, tuple[str, ...]]
     tasks: Mapping[str, TaskMemory]
     elements: Mapping[str, str]
     accepted: str = ""
@@ -92,12 +92,12 @@ class TaskStates:
         tasks = {**self.tasks, name: memory}
         for task, other in self.tasks.items():
             # what is said now of where an element is replaces what was known of it by a task that is no more
-            no_more = task not in self.after and name in self.after and not memory.stays
+            no_more = task not in self.predecessors and name in self.predecessors and not memory.stays
             if task == entry.former or (no_more and entry.element and other.element == entry.element):
                 del tasks[task]
         if entry.former or memory.state is TaskState.READY or (memory.state in SETTLED) != (before.state in SETTLED):
             # only then somebody waits who did not, or waits no longer
-            tasks = _settled(self.after, tasks)
+            tasks = _settled(self.predecessors, tasks)
         return replace(self, tasks=tasks)
 
     def in_state(self, *states: TaskState) -> tuple[str, ...]:
@@ -117,22 +117,22 @@ class TaskStates:
     @property
     def open(self) -> tuple[str, ...]:
         """The tasks of the schedule that are neither done nor skipped."""
-        return tuple(name for name in self.after if self.tasks[name].state not in SETTLED)
+        return tuple(name for name in self.predecessors if self.tasks[name].state not in SETTLED)
 
     @property
     def asking(self) -> tuple[str, ...]:
         """The tasks whose question is open."""
-        return tuple(name for name in self.in_state(TaskState.ASKS) if name in self.after or name in self.former)
+        return tuple(name for name in self.in_state(TaskState.ASKS) if name in self.predecessors or name in self.former)
 
     def missing(self, task: str) -> tuple[str, ...]:
         """Return the predecessors that are neither done nor skipped."""
-        return _missing(self.after, self.tasks, task)
+        return _missing(self.predecessors, self.tasks, task)
 
     def followers(self, task: str) -> tuple[str, ...]:
         """Return the tasks that wait for this one and have begun or are done."""
         still = (TaskState.WAITING, TaskState.READY, TaskState.SKIPPED)
         return tuple(
-            name for name, before in self.after.items() if task in before and self.tasks[name].state not in still
+            name for name, before in self.predecessors.items() if task in before and self.tasks[name].state not in still
         )
 
     @property
@@ -141,7 +141,7 @@ class TaskStates:
         return {
             task: memory
             for task, memory in self.tasks.items()
-            if task not in self.after and memory.touched and not memory.stays
+            if task not in self.predecessors and memory.touched and not memory.stays
         }
 
     def doubts(
@@ -154,7 +154,7 @@ class TaskStates:
         """Return the events by which a person is asked about what has changed since it was placed or answered."""
         found = []
         for task, memory in self.tasks.items():
-            no_more, stands = task not in self.after, memory.placed and memory.state in SETTLED
+            no_more, stands = task not in self.predecessors, memory.placed and memory.state in SETTLED
             if not memory.touched or (no_more and memory.stays):
                 continue
             heir = placing.get(memory.element, "") if no_more else ""
@@ -174,28 +174,28 @@ class TaskStates:
 
 def placed_elsewhere(event: str, task: str, memory: TaskMemory) -> Entry:
     """Return the event by which a task takes over an element of another one."""
-    source = PLANNED if event == TaskEvent.SAME.value and memory.as_planned else ""
+    source = FROM_PLAN if event == TaskEvent.SAME.value and memory.as_planned else ""
     return Entry(
         event, task, memory.element, pose=memory.base_T_element, name=memory.name,
         body=memory.body, goal=memory.goal, seen=memory.seen, former=memory.task, reason=_CHANGED_TASK, source=source,
     )  # fmt: skip
 
 
-def fold(after: Mapping[str, tuple[str, ...]], elements: Mapping[str, str] = MappingProxyType({})) -> TaskStates:
+def initial_states(predecessors: Mapping[str, tuple[str, ...]], elements: Mapping[str, str]) -> TaskStates:
     """Return the states before any event."""
-    return TaskStates(dict(after), _settled(after, {task: TaskMemory(task) for task in after}), elements)
+    return TaskStates(predecessors, _settled(predecessors, {task: TaskMemory(task) for task in predecessors}), elements)
 
 
-def _missing(after: Mapping[str, tuple[str, ...]], tasks: Mapping[str, TaskMemory], task: str) -> tuple[str, ...]:
-    return tuple(name for name in after.get(task, ()) if name in tasks and tasks[name].state not in SETTLED)
+def _missing(predecessors: Mapping[str, Sequence[str]], tasks: Mapping[str, TaskMemory], task: str) -> tuple[str, ...]:
+    return tuple(name for name in predecessors.get(task, ()) if name in tasks and tasks[name].state not in SETTLED)
 
 
-def _settled(after: Mapping[str, tuple[str, ...]], tasks: Mapping[str, TaskMemory]) -> dict[str, TaskMemory]:
+def _settled(predecessors: Mapping[str, tuple[str, ...]], tasks: Mapping[str, TaskMemory]) -> dict[str, TaskMemory]:
     settled = dict(tasks)
     for name, memory in tasks.items():
-        if memory.state is TaskState.WAITING and not _missing(after, tasks, name):
+        if memory.state is TaskState.WAITING and not _missing(predecessors, tasks, name):
             settled[name] = memory.with_entry(_FREED)
-        elif memory.state is TaskState.READY and _missing(after, tasks, name):
+        elif memory.state is TaskState.READY and _missing(predecessors, tasks, name):
             settled[name] = memory.with_entry(_BLOCKED)
     return settled
 
@@ -206,7 +206,7 @@ class Ledger:
     def __init__(
         self,
         path: str | Path,
-        after: Mapping[str, tuple[str, ...]],
+        predecessors: Mapping[str, tuple[str, ...]],
         model: str,
         clock: Callable[[], int],
         cell: str = "",
@@ -220,7 +220,7 @@ class Ledger:
         self._clock = clock
         self._file = AppendOnlyFile(self.path, LedgerError, "work node")
         try:
-            self.states = replay(self.path, after, {task: each.element for task, each in model_elements.items()})
+            self.states = replay(self.path, predecessors, {task: each.element for task, each in model_elements.items()})
             if self._file.lines == 0:
                 self.add(Entry(OPENED, model=model, cell=cell, robot=robot))
             if self._file.cut_off:
@@ -312,9 +312,9 @@ def _mesh_name(item: SceneObject) -> str:
     return f"{item.mesh_digest}{Path(item.mesh).suffix}" if item.mesh else ""
 
 
-def replay(path: Path, after: Mapping[str, tuple[str, ...]], elements: Mapping[str, str]) -> TaskStates:
+def replay(path: Path, predecessors: Mapping[str, tuple[str, ...]], elements: Mapping[str, str]) -> TaskStates:
     """Return the states after all lines."""
-    states = fold(after, elements)
+    states = initial_states(predecessors, elements)
     for number, entry in enumerate(read_entries(path), start=1):
         if number == 1 and entry.event != OPENED:
             raise LedgerError(str(path), f"line 1 is {entry.event!r}; expected {OPENED!r}: this is no ledger")

@@ -77,7 +77,7 @@ class LoadedModel:
     comes_after: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
     @property
-    def after(self) -> dict[str, tuple[str, ...]]:
+    def predecessors(self) -> dict[str, tuple[str, ...]]:
         """The jobs that each removal and job waits for, in the schedule's order."""
         return {
             job.id: tuple(dict.fromkeys(wait.job for wait in job.after))
@@ -234,14 +234,14 @@ class AsBuilt:
 
     def job(self, task: str) -> Job:
         """Return a task's job, of a former task what the ledger says."""
-        if task in self.states.after:
+        if task in self.states.predecessors:
             return self.loaded.schedule.job(task)
         memory = self.states.tasks[task]
         return Job(task, task, memory.name, memory.element, (), ())
 
     def element(self, task: str) -> ElementFacts:
         """Return a task's element, of a former task what the ledger says."""
-        if task in self.states.after:
+        if task in self.states.predecessors:
             return self.loaded.elements[self.job(task).element]
         memory = self.states.tasks[task]
         name = memory.name or memory.element or task
@@ -277,7 +277,7 @@ class AsBuilt:
     def deviation(self, task: str) -> Deviation | None:
         """Return how far a placed element stands from the model, if measured."""
         memory = self.states.tasks[task]
-        if task not in self.states.after or not (memory.placed and memory.base_T_element) or memory.as_planned:
+        if task not in self.states.predecessors or not (memory.placed and memory.base_T_element) or memory.as_planned:
             return None
         return deviation(pose_of_tuple(memory.base_T_element), self.element(task).base_T_goal)
 
@@ -297,7 +297,7 @@ class AsBuilt:
         def place(
             element: str, bodies: Sequence[SceneObject], memory: TaskMemory | None, stock: Pose | None, goal: Pose
         ) -> None:
-            """Want an element where the ledger has it, or as no task places it, where the model does."""
+            """Add an element where the ledger has it; where the model has it if no task places it."""
             found: tuple[SceneObject, ...] = ()
             if memory is None or memory.placed:
                 # also while it is asked about: it stands until a person says that it does not

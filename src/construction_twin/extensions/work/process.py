@@ -1,7 +1,6 @@
 """A process, such as `place`: what is asked of it; and the recipes, by which tasks are carried out. Metres, seconds.
 
-A process is one folder beside this module, of which a module has `PROCESS`. Recipes stand in a file
-(config/work/recipes.yaml); the building model can name one.
+A process is a folder beside this module, with a module that has `PROCESS`. Recipes stand in a file; the model can name one.
 """
 
 from __future__ import annotations

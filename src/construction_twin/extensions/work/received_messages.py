@@ -114,7 +114,7 @@ class Received:
             return bool(self._changed.wait_for(lambda: condition() or self._ends(), seconds))
 
     @property
-    def is_executor_known(self) -> bool:
+    def is_executor_settled(self) -> bool:
         """Whether the executor's state is known, or it has no publisher."""
         return self.execution is not None or not self._publishers("execution")
 
@@ -167,7 +167,7 @@ class Received:
         return True
 
     @property
-    def is_tool_known(self) -> bool:
+    def is_tool_settled(self) -> bool:
         """Whether the tool's state is known, or it has no publisher."""
         return self.tool is not None or not self._publishers("tool")
 

@@ -52,11 +52,11 @@ class TaskBoard:
         """Write an event of a task, with the element's bodies where they may be needed without the model."""
         task, memory = entry.task, self.states.tasks[entry.task]
         handled = entry.event == TaskEvent.OFFERED.value and not memory.in_grip
-        if task in self.states.after and (handled or not memory.body) and self.built.element(task).bodies:
+        if task in self.states.predecessors and (handled or not memory.body) and self.built.element(task).bodies:
             facts = self.built.element(task)
             body, goal = self.ledger.save_bodies(facts.bodies), pose_tuple(facts.base_T_goal)
             entry = replace(entry, name=facts.name, body=body, goal=goal)
-        if task in self.states.after and entry.event in _SEEING:
+        if task in self.states.predecessors and entry.event in _SEEING:
             entry = replace(entry, seen=self.loaded.model_elements[task].digest)
         self.ledger.add(replace(entry, element=self.element_of(task)))
 
@@ -74,12 +74,12 @@ class TaskBoard:
 
     def next(self, now: int) -> str:
         """Return the task that comes next; empty: none can be planned."""
-        return next((job for job in self.states.after if not self.obstacle(job, now)), "")
+        return next((job for job in self.states.predecessors if not self.obstacle(job, now)), "")
 
     def obstacle(self, task: str, now: int) -> str:
         """Return why a task cannot be planned now, empty if it can."""
         states = self.states
-        if task not in states.after:
+        if task not in states.predecessors:
             return f"there is no task {task!r}; `twin work list` names them"
         if self.schedule_word == PROPOSED:
             return "the schedule is a proposal from the geometry: look at it, then accept it (`twin work accept`)"
@@ -150,7 +150,7 @@ class TaskBoard:
             engaged=False,
             next=self.next(now),
             reason=self.summary(now),
-            tasks=tuple(self._row(task, now) for task in (*self.states.after, *self.states.former)),
+            tasks=tuple(self._row(task, now) for task in (*self.states.predecessors, *self.states.former)),
             notes=self.notes,
         )
 
@@ -200,7 +200,7 @@ class TaskBoard:
         memory = self.states.tasks[task]
         if memory.state is TaskState.ASKS:
             return ""
-        if task not in self.states.after:
+        if task not in self.states.predecessors:
             return "placed, and not in the model: an obstacle until a person says that it was taken away"
         if memory.state is TaskState.WAITING:
             return f"waits for {self._missing_titles(task)}"
@@ -220,12 +220,12 @@ class TaskBoard:
             return "placed; as planned, not measured"
         if not memory.base_T_element:
             return "placed; where exactly is not known"
-        return f"placed, measured by {memory.measured}" if memory.measured else "placed, by the arm's own pose"
+        return f"placed, measured by {memory.measured_by}" if memory.measured_by else "placed, by the arm's own pose"
 
     def question(self, task: str) -> str:
         """Return what a person is asked about a task, if anything."""
         memory = self.states.tasks[task]
-        if task in self.states.after or memory.state is not TaskState.ASKS:
+        if task in self.states.predecessors or memory.state is not TaskState.ASKS:
             return memory.question(self.built.element(task).name)
         asked = Sentence(
             "does {element} still stand? The model does not have it"
@@ -238,7 +238,7 @@ class TaskBoard:
     def answers(self, task: str) -> tuple[str, ...]:
         """Return what can be answered to a task's question."""
         memory = self.states.tasks[task]
-        if task in self.states.after or memory.state is not TaskState.ASKS:
+        if task in self.states.predecessors or memory.state is not TaskState.ASKS:
             return memory.possible_answers()
         return tuple(ANSWERS_OF_FORMER) if memory.placed else ("taken_away",)
 

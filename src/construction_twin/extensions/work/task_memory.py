@@ -31,7 +31,7 @@ class TaskState(Enum):
     DONE = "done"
     SKIPPED = "skipped"
     ASKS = "asks"
-    HELD = "held"
+    HELD = "held"  # its element is gone: waits for a person
 
 
 class TaskEvent(Enum):
@@ -147,10 +147,10 @@ ROWS: dict[tuple[TaskState, TaskEvent], list[Row]] = {
 
 _NO_PLAN: dict[str, Any] = {"plan": "", "offer": ""}
 _IN_STOCK = {
-    **_NO_PLAN, "grip": "", "measured": "", "in_grip": False, "placed": False, "gone": False,
+    **_NO_PLAN, "grip": "", "measured_by": "", "in_grip": False, "placed": False, "gone": False,
     "tool0_T_element": (), "base_T_element": (),
 }  # fmt: skip
-_HELD = {"in_grip": True, "placed": False, "gone": False}
+_IN_GRIP = {"in_grip": True, "placed": False, "gone": False}
 _PLACED = {"in_grip": False, "placed": True, "gone": False}
 
 #: What a row changes, from what was known and the event.
@@ -162,14 +162,14 @@ CHANGES: Mapping[str, Callable[[TaskMemory, Entry], dict[str, Any]]] = {
     },
     "no plan": lambda memory, entry: _NO_PLAN,
     "in stock": lambda memory, entry: _IN_STOCK,
-    "in grip": lambda memory, entry: {**_HELD, "tool0_T_element": entry.pose or memory.tool0_T_element},
-    "placed": lambda memory, entry: {**_PLACED, "base_T_element": entry.pose, "measured": ""},
+    "in grip": lambda memory, entry: {**_IN_GRIP, "tool0_T_element": entry.pose or memory.tool0_T_element},
+    "placed": lambda memory, entry: {**_PLACED, "base_T_element": entry.pose, "measured_by": ""},
     # where the model has it until it is measured
     "placed as told": lambda memory, entry: _PLACED,
     "gone": lambda memory, entry: {**_IN_STOCK, "gone": True},
     "doubted": lambda memory, entry: {**_NO_PLAN, "base_T_element": entry.pose or memory.base_T_element},
     "measured": lambda memory, entry: {
-        "placed": True, "gone": False, "base_T_element": entry.pose, "measured": entry.person,
+        "placed": True, "gone": False, "base_T_element": entry.pose, "measured_by": entry.person,
     },
 }  # fmt: skip
 
@@ -182,7 +182,7 @@ ANSWERS_OF_FORMER = {"stands": "placed", "taken_away": "gone"}
 OPENED, ACCEPTED, MENDED, CHANGED = "opened", "accept_schedule", "mended", "changed"
 OF_NO_TASK = (OPENED, ACCEPTED, MENDED, CHANGED)
 #: Where the pose of an element that was let go comes from.
-MEASURED, PLANNED = "measured", "planned"
+FROM_ARM, FROM_PLAN = "measured", "planned"
 #: What a person has seen of an element that stands and is not in the model.
 NOT_IN_MODEL = "not in the model"
 
@@ -214,7 +214,7 @@ class Entry:
         body: Digest of the element's pieces (`Ledger.save_bodies`).
         seen: `ModelElement.digest` when it was handled; `NOT_IN_MODEL`.
         former: Of `same`, `found` and `unknown`: the task that handled the element before.
-        source: Of `released` and `same`: `MEASURED` or `PLANNED`.
+        source: Of `released` and `same`: `FROM_ARM` or `FROM_PLAN`.
         offer: Stands in the plan's `source`.
         pose, goal: Length 7 or 0. How the element is held (`offered`), where it stands (others); where the model had it.
     """
@@ -267,7 +267,7 @@ def entry_of(fields: Mapping[str, Any]) -> Entry:
 
 
 #: States in which an element is surely not in the grip.
-_NOT_HELD = (TaskState.WAITING, TaskState.READY, TaskState.DONE, TaskState.SKIPPED)
+_NOT_IN_GRIP = (TaskState.WAITING, TaskState.READY, TaskState.DONE, TaskState.SKIPPED)
 
 #: What lines say of the element; the last one that says it counts.
 _ELEMENT = ("element", "name", "body", "goal", "seen")
@@ -302,7 +302,7 @@ class TaskMemory:
     gone: bool = False
     tool0_T_element: tuple[float, ...] = ()
     base_T_element: tuple[float, ...] = ()
-    measured: str = ""
+    measured_by: str = ""
     as_planned: bool = False
     begun_ns: int = 0
     settled_ns: int = 0
@@ -330,7 +330,7 @@ class TaskMemory:
         changed = {"before": row.state, "state": row.target or self.state, **CHANGES[row.change](self, entry)}
         changed |= {name: value for name in _ELEMENT if (value := getattr(entry, name))}
         if row.event in (TaskEvent.RELEASED, TaskEvent.MEASURED, TaskEvent.SAME):
-            changed["as_planned"] = entry.source == PLANNED
+            changed["as_planned"] = entry.source == FROM_PLAN
         if row.event is TaskEvent.OFFERED:
             changed["process"] = entry.process
         if row.event is TaskEvent.BEGUN:
@@ -341,9 +341,9 @@ class TaskMemory:
 
     def _row(self, entry: Entry) -> Row | None:
         event = TaskEvent(entry.event)
-        said = entry.answer if entry.answer in self.possible_answers() else None
+        answer = entry.answer if entry.answer in self.possible_answers() else None
         for row in ROWS[self.state, event]:
-            if not row.when or (row.when == said if event is TaskEvent.ANSWERED else getattr(self, row.when)):
+            if not row.when or (row.when == answer if event is TaskEvent.ANSWERED else getattr(self, row.when)):
                 return row
         return None
 
@@ -353,7 +353,7 @@ class TaskMemory:
             return ()
         if self.stays:
             return ANSWERS_OF_STAYING
-        if self.before in _NOT_HELD:
+        if self.before in _NOT_IN_GRIP:
             return ("in_stock", "placed", "gone")
         if self.before in (TaskState.PLANNED, TaskState.WORKING, TaskState.GRIPPING) and not self.in_grip:
             return ("in_stock", "in_grip", "gone")

@@ -1,7 +1,6 @@
 """What the executor's reports mean for the task whose plan it plays.
 
-The executor goes on from a grip or a release when the scene has changed, which happens after the line `gripped` or `released` is on
-the disk.
+The executor goes on from a grip or a release when the scene has changed: after `gripped` or `released` is on the disk.
 """
 
 from __future__ import annotations
@@ -18,8 +17,8 @@ from construction_twin.extensions.work.loaded_model import as_built, pose_of_tup
 from construction_twin.extensions.work.received_messages import GripReading, KnownPlan, Received
 from construction_twin.extensions.work.task_board import TaskBoard
 from construction_twin.extensions.work.task_memory import (
-    MEASURED,
-    PLANNED,
+    FROM_ARM,
+    FROM_PLAN,
     UNDER_WAY,
     Entry,
     TaskEvent,
@@ -40,12 +39,12 @@ FINISHED = "finished"
 
 @dataclass(frozen=True)
 class PlanActions:
-    """Numbers of the segments at whose end a plan grips and releases, and of the first engaged one; negative: none, or unknown."""
+    """Numbers of the segments at whose end a plan grips and releases, and of the first engaged one; -1: none, or unknown."""
 
     id: str
     grips: int
     releases: int
-    works: int = -1
+    first_engaged: int = -1
 
 
 def plan_actions(
@@ -60,8 +59,8 @@ def plan_actions(
             lets_go = tool.release.set.get(switch.output) == switch.value
             if lets_go and releases < 0 and (grips >= 0 or memory.in_grip):
                 releases = number
-    works = next((number for number, segment in enumerate(segments) if segment.engaged), -1)
-    return PlanActions(plan_id, grips, releases, works)
+    first_engaged = next((number for number, segment in enumerate(segments) if segment.engaged), -1)
+    return PlanActions(plan_id, grips, releases, first_engaged)
 
 
 def actions_by_outcome(plan_id: str, memory: TaskMemory, outcome: str) -> PlanActions:
@@ -70,7 +69,7 @@ def actions_by_outcome(plan_id: str, memory: TaskMemory, outcome: str) -> PlanAc
         return PlanActions(plan_id, -1, -1)
     if outcome == FINISHED:
         return PlanActions(plan_id, -1 if memory.in_grip else 0, 0)
-    return PlanActions(plan_id, -2, -2)
+    return PlanActions(plan_id, -1, -1)
 
 
 class _Events:
@@ -132,7 +131,7 @@ def _end(events: _Events, plan: PlanActions, report: ExecutionReport, grip: Grip
     reason = f"{report.outcome}: {report.reason}"
     if events.state is TaskState.WORKING and events.memory.stays:
         # from the first engaged segment on only a person sees what was done
-        stopped = TaskEvent.STOPPED if 0 <= report.segment < plan.works else TaskEvent.UNKNOWN
+        stopped = TaskEvent.STOPPED if 0 <= report.segment < plan.first_engaged else TaskEvent.UNKNOWN
         events.add(TaskEvent.FINISHED if report.outcome == FINISHED else stopped, reason)
         return
     if events.state is TaskState.RETREATING and report.outcome == FINISHED:
@@ -262,10 +261,10 @@ class TaskRecorder:
         if not memory.tool0_T_element or memory.state is TaskState.RETREATING:
             return (), ""
         planned = tuple(known.plan.trajectory.sample(known.plan.segments[actions.releases].end)[0])
-        q, source = planned, PLANNED
+        q, source = planned, FROM_PLAN
         if report.segment == actions.releases and (report.at_boundary or report.wants_scene):
             try:
-                q, source = self._arm_pose(), MEASURED
+                q, source = self._arm_pose(), FROM_ARM
             except (PoseUnknownError, PayloadError) as error:
                 self._refuse("pose", f"the planned pose is taken for the arm's: {error}")
         held, goal = pose_of_tuple(memory.tool0_T_element), self._board.built.element(memory.task).base_T_goal

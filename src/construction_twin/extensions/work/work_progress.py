@@ -81,15 +81,15 @@ class WorkProgress:
         clock: Callable[[], int],
     ):
         ledger = Ledger(
-            folder / f"{robot.name}_{Path(loaded.cell).stem}.jsonl", loaded.after, loaded.digest, clock,
+            folder / f"{robot.name}_{Path(loaded.cell).stem}.jsonl", loaded.predecessors, loaded.digest, clock,
             str(Path(loaded.cell).resolve()), loaded.schedule.placing, loaded.standing_elements, robot.name,
             loaded.model_elements,
         )  # fmt: skip
         self.board = TaskBoard(loaded, ledger, robot.name, robot.tip_link)
         self._received, self._services, self._clock = received, services, clock
         opened = f"{loaded.model}: {len(loaded.schedule.jobs)} tasks, {ledger.lines} lines in {ledger.path}"
-        for said in (opened, *self.board.notes):
-            services.log(said)
+        for line in (opened, *self.board.notes):
+            services.log(line)
         self._recorder = TaskRecorder(
             self.board, received, Chain(robot), services.arm_pose, services.refuse, services.log
         )
@@ -108,7 +108,7 @@ class WorkProgress:
         if not self.board.states.busy:
             return
         # latched messages come within a moment of the connection; the executor may only now be starting
-        received.wait_for(lambda: received.execution is not None and received.is_tool_known, listen_time)
+        received.wait_for(lambda: received.execution is not None and received.is_tool_settled, listen_time)
         received.wait_for(
             lambda: received.plan is not None and not received.is_engagement_unknown, min(1.0, listen_time)
         )
@@ -131,7 +131,7 @@ class WorkProgress:
             try:
                 if engaged:
                     self._restore_scene_for_way_back()
-                elif received.is_executor_known:
+                elif received.is_executor_settled:
                     self._tidy()
             finally:
                 self._planning.release()

@@ -31,8 +31,8 @@ from construction_twin.robot.description import RobotModel
 from construction_twin.scene.objects import Scene, SceneObject, tool_objects
 from construction_twin.scene.self_collision import read_self_collision
 
-#: By how much bodies may be larger than their element without being told [m].
-_TOLD = 0.0005
+#: Excess of a body over its element from which a note is written [m].
+_NOTABLE_EXCESS = 0.0005
 #: What is carried reaches further than the tool: half of the longest element that an arm carries, and something [m].
 _CARRIED = 5.0
 
@@ -125,7 +125,7 @@ def load_model(
     planner: Mapping[str, Any],
     cache: str,
 ) -> LoadedModel:
-    """Read a model (path of an IFC file, or what was read) and its cell; `cache`: folder."""
+    """Load a model, its path or what was read, in its cell, and prepare the plans of its tasks; `cache`: folder."""
     work_cell = read_work_cell(cell)
     building = read_building(model, Path(cache) / "models") if isinstance(model, str) else model
     proposed = not building.tasks
@@ -158,7 +158,7 @@ def load_model(
     notes += [
         f"{element} is planned with bodies up to {1e3 * shape.excess:.1f} mm larger than it is."
         for element, shape in shapes.items()
-        if shape.excess > _TOLD
+        if shape.excess > _NOTABLE_EXCESS
     ]
     known = {name: value for name, value in planner.items() if name in PlannerSettings.model_fields}
     rng = np.random.default_rng(known["seed"])
@@ -229,10 +229,10 @@ def check_placement(model: BuildingModel, model_T_base: Pose, reach: float) -> N
     nearest = min(distances, key=lambda one: distances[one])
     if distances[nearest] > reach:
         low, high = np.min(list(boxes.values()), axis=(0, 1)), np.max(list(boxes.values()), axis=(0, 1))
-        said = f"all {len(boxes)} elements are out of the robot's reach of {reach:.2f} m: the nearest"
+        problem = f"all {len(boxes)} elements are out of the robot's reach of {reach:.2f} m: the nearest"
         base_at = f"{distances[nearest]:.2f} m from its base at {_figures(model_T_base.position)}"
         stand = f"The elements stand at {_figures(low)} to {_figures(high)}."
-        raise PlacementError(f"{said}, element {model.labels.get(nearest, nearest)}, is {base_at}. {stand}")
+        raise PlacementError(f"{problem}, element {model.labels.get(nearest, nearest)}, is {base_at}. {stand}")
 
 
 def _distance(box: np.ndarray, model_T_base: Pose) -> float:

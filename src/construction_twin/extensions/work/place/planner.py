@@ -180,8 +180,8 @@ def _check_bodies(search: Search, at: FlangePoses, there: Scenes) -> None:
         found = search.shapes.obstruction(scene, pose)
         if found is not None:
             one, other = found
-            said = Sentence("{first} would touch {second}, or come closer than the padding", first=one, second=other)
-            raise AttemptFailed(stage, said)
+            problem = Sentence("{first} would touch {second}, or come closer than the padding", first=one, second=other)
+            raise AttemptFailed(stage, problem)
 
 
 def _straight_ways(
