@@ -292,8 +292,8 @@ def _part(kind: type[_Part], shown: FreshReport | None, **known: object) -> _Par
 def _speed(report: SpeedReport | None) -> SpeedView | None:
     if report is None:
         return None
-    since, whose = round(seconds(report.since), _TIME), (report.replaced, report.replaced_person)
-    return SpeedView(report.limit, report.by, report.reason, report.people, report.person, since, *whose)
+    since, replaced = round(seconds(report.since), _TIME), (report.replaced, report.replaced_person)
+    return SpeedView(report.limit, report.by, report.reason, report.people, report.person, since, *replaced)
 
 
 def _round_trip_ms(sync: FreshReport[SyncReport] | None) -> float:

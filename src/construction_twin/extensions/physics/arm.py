@@ -99,7 +99,7 @@ class SimulatedArm:
         self.data.qvel[self._joints] = before.data.qvel[before._joints]
 
     def speeds_of(self, body: str) -> np.ndarray:
-        """Return where the speed of a loose body is among MuJoCo's, shape (6,)."""
+        """Return the indices of a loose body's velocity in `qvel`, shape (6,)."""
         return int(self._model.jnt_dofadr[self._model.joint(f"free\n{body}").id]) + np.arange(6)
 
     def loose_state(self, body: str) -> tuple[np.ndarray, np.ndarray]:
@@ -136,7 +136,7 @@ class SimulatedArm:
             yield
 
     def _step(self, acceleration: np.ndarray, friction: np.ndarray) -> None:
-        """Advance one step; `friction`: torque that rubbing takes in it, both of shape (n,)."""
+        """Advance one step; `friction`: friction torque, both of shape (n,)."""
         data, joints, physics, wanted = self.data, self._joints, self.physics, self._wanted
         wanted[0] = acceleration
         wanted[1] = _STIFFNESS * (self.answer - data.qpos[joints]) + _DAMPING * (self._speed - data.qvel[joints])

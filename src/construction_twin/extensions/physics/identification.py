@@ -163,11 +163,11 @@ class _Fit:
         while len(options) < len(_OPTIONS):
             tried = {option: self._with_option(servo, options, option) for option in _OPTIONS if option not in options}
             option = min(tried, key=lambda each: tried[each][1])
-            better, lower = tried[option]
-            fewer = self._count * np.log(max(lower, 1e-300) / cost) + np.log(self._count)
-            if not (fewer < 0.0 and lower < cost * (1.0 - _GAIN)):
+            best_servo, best_cost = tried[option]
+            bic_change = self._count * np.log(max(best_cost, 1e-300) / cost) + np.log(self._count)
+            if not (bic_change < 0.0 and best_cost < cost * (1.0 - _GAIN)):
                 break
-            servo, cost, options = better, lower, (*options, option)
+            servo, cost, options = best_servo, best_cost, (*options, option)
         return self._with_deviations(name, servo, options)
 
     def _with_option(self, servo: JointServo, options: tuple[str, ...], option: str) -> tuple[JointServo, float]:

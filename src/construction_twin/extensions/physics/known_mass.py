@@ -39,9 +39,9 @@ def tool_mass(path: str) -> dict[str, float]:
 def masses_of(
     known: Mapping[str, float], scenes: Iterable[Scene], bodies: RobotBodies, standing: Container[str] = ()
 ) -> dict[str, float]:
-    """Return the known masses of the objects that the arm carries in one of the scenes, and of those of `standing`, by name [kg].
+    """Return the masses of carried objects and of objects of `standing` bodies, by name [kg].
 
-    A body's mass, `known` [kg], is divided as its objects' volumes are.
+    A body's mass, `known` [kg], is split by the volumes of its objects.
     """
     # nodes that only name bodies wait for no library of shapes
     from construction_twin.extensions.physics.mass import of_object

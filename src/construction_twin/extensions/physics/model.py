@@ -148,11 +148,11 @@ class _Builder:
             compiled.dof_armature[dof], compiled.dof_frictionloss[dof] = armature, friction
             compiled.dof_damping[dof] = damping
         mujoco.mj_setConst(compiled, mujoco.MjData(compiled))
-        places = np.array([compiled.joint(name).dofadr[0] for name in self._robot_bodies.robot.joint_names])
+        dofs = np.array([compiled.joint(name).dofadr[0] for name in self._robot_bodies.robot.joint_names])
         owners = [compiled.geom(geom).name.split("\n")[0] for geom in range(compiled.ngeom)]
         loose = {name: int(compiled.joint(f"free\n{name}").qposadr[0]) for name in self._loose}
         return PhysicsModel(
-            self._robot_bodies.robot, compiled, places, self._drives, tuple(owners), loose, *_inertias(compiled, places),
+            self._robot_bodies.robot, compiled, dofs, self._drives, tuple(owners), loose, *_inertias(compiled, dofs),
             _unplanned(owners, checked), payload, tuple(dict.fromkeys(self._remarks)),
         )  # fmt: skip
 

@@ -73,7 +73,7 @@ class RehearsalRequest:
             scene: That it begins in; None: unknown.
             known: Masses of bodies [kg].
             placed: Elements that stand where their tasks placed them.
-            constant: Hash of what decides the result beside plan, scene, tool and masses.
+            constant: Hash of all other inputs of the result.
         """
         there = () if scene is None else scene.objects
         objects = (*there, *(item for change in changes for item in change.put))

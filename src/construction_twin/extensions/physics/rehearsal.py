@@ -127,8 +127,7 @@ class Rehearsal:
 def rigid_bodies(scenes: Iterable[Scene]) -> dict[str, str]:
     """Return the body that each object is a piece of while a plan goes through `scenes`, by the object's name.
 
-    Pieces are one body while they stand or hang together in all scenes, lying to one another as before; one that goes alone makes
-    each of them a body with its own full name.
+    Pieces form one body while their relative poses stay the same in all scenes; else each is a body of its own name.
     """
     found: dict[str, str] = {}
     first: dict[str, Sequence[SceneObject]] = {}
@@ -250,7 +249,7 @@ class _Run:
     """
 
     def __init__(self, of: Rehearsal, trajectory: Trajectory, parts: Sequence[tuple[Scene, float]], after: Scene):
-        self._of = of
+        self._rehearsal = of
         self._trajectory = trajectory
         self._parts = parts
         self._after = after
@@ -308,7 +307,7 @@ class _Run:
 
     def _settle_standing(self, setpoints: np.ndarray) -> bool:
         """Let the standing bodies come to rest before the plan; return False when the simulation diverged."""
-        of, scene = self._of, self._parts[0][0]
+        of, scene = self._rehearsal, self._parts[0][0]
         names = {item.name for item in scene.objects if not item.link} & of.masses.keys() - self._handled
         known = {self._bodies[name] for name in names} - {self._bodies[name] for name in self._handled}
         objects = [item for item in scene.objects if self._bodies[item.name] in known]
@@ -334,12 +333,12 @@ class _Run:
 
     def _arm(self, scene: Scene, pose: np.ndarray, before: SimulatedArm | None, begin: float) -> SimulatedArm:
         """Return the arm in a scene, from `begin` [s] on; released bodies continue from where they are."""
-        loose = {self._bodies[name] for name in (self._handled | {*self._of.masses}) & set(scene.names)} - self._fixed
+        loose = {self._bodies[one] for one in {*scene.names} & {*self._handled, *self._rehearsal.masses}} - self._fixed
         physics = self._model(scene, {name: body for name, body in self._bodies.items() if body in loose})
         self._remarks += physics.remarks
         if physics.payload is not None:
             self._payloads.append(physics.payload)
-        arm = SimulatedArm(physics, pose if before is None else before.setpoint, self._of.servo)
+        arm = SimulatedArm(physics, pose if before is None else before.setpoint, self._rehearsal.servo)
         if before is None:
             for name, place in self._standing.places.items():
                 arm.put_loose(name, place)
@@ -360,7 +359,7 @@ class _Run:
         return arm
 
     def _model(self, scene: Scene, loose: Mapping[str, str]) -> PhysicsModel:
-        of = self._of
+        of = self._rehearsal
         return build_model(of.bodies, scene, of.self_collision, of.drives, Load(of.masses, loose, of.flange))
 
     def _scene_at(self, time: float) -> Scene:
@@ -368,7 +367,7 @@ class _Run:
 
     def _recorder(self, scene: Scene, physics: PhysicsModel) -> GripLoadRecorder | None:
         """Return the recorder of the cups' load in a scene; None: no load, or no cups."""
-        of = self._of
+        of = self._rehearsal
         tip = of.bodies.robot.tip_link
         carried = [item for item in scene.objects if item.link == tip and body_of(item.name) != TOOL]
         if of.grip is None or not carried:
@@ -435,12 +434,12 @@ class _Run:
                 )
 
     def _in_base(self, point: np.ndarray) -> tuple[float, float, float]:
-        x, y, z = self._of.bodies.root_T_base.actInv(point).tolist()
+        x, y, z = self._rehearsal.bodies.root_T_base.actInv(point).tolist()
         return x, y, z
 
     def _named_first(self, owner: str) -> tuple[bool, bool, str]:
         """Return the order in which reports name two bodies: a link, what is carried sometime, what stands."""
-        return owner not in self._of.bodies.link_joints, owner not in self._carried, owner
+        return owner not in self._rehearsal.bodies.link_joints, owner not in self._carried, owner
 
     def _settled(self, arm: SimulatedArm, setpoint: np.ndarray) -> tuple[LooseObject, ...]:
         """Let the arm and all loose bodies come to rest, none asleep, and return their displacements."""
@@ -468,11 +467,11 @@ class _Run:
     def _judged_report(self, named, times, objects, settle) -> RehearsalReport:
         track, names = self._track, self._trajectory.joint_names
         worst, off = int(np.argmax(track.usages)), int(np.argmax(track.off))
-        brake = braking(track, self._of.bodies.robot, lambda time: self._model(self._scene_at(time), {}))
+        brake = braking(track, self._rehearsal.bodies.robot, lambda time: self._model(self._scene_at(time), {}))
         report = replace(
             named,
             axes=track.axes(names, times),
-            payload=worst_payload(self._payloads, self._of.bodies, self._of.drives.rating),
+            payload=worst_payload(self._payloads, self._rehearsal.bodies, self._rehearsal.drives.rating),
             tracking=float(track.off[off]),
             tracking_joint=names[off],
             braking=brake,
@@ -489,7 +488,7 @@ class _Run:
         if not has_finite_numbers(report):
             # of what is not finite nothing is too large
             return self._diverged(named, self._trajectory.duration if math.isfinite(brake.usage) else brake.time)
-        robot = self._of.bodies.robot
+        robot = self._rehearsal.bodies.robot
         linear = {name for name, slides in zip(robot.joint_names, robot.linear) if slides}
         why = tuple(failure_reasons(report, linear))
         return replace(report, state=FAILED if why else PASSED, reasons=why)

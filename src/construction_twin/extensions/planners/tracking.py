@@ -50,8 +50,7 @@ class _ArmPose:
 class Tracking:
     """Poses of twin and arm, compared at each `sample`.
 
-    Velocities are differences between samples: of 20 ms at 50 Hz, in which one step of a measurement with three decimals of a
-    degree is 0.05 deg/s.
+    Velocities are differences between samples: at 50 Hz a step of a measurement with three decimals of a degree is 0.05 deg/s.
     """
 
     def __init__(self, has_arm: bool):
@@ -118,9 +117,10 @@ class Tracking:
             self._last = Sample(stamp, Motion(desired, rest), Motion(actual, rest))
         else:
             seconds = (stamp - last.stamp) / NANOSECONDS
-            self._last = Sample(stamp, _moved(last.desired, desired, seconds), _moved(last.actual, actual, seconds))
+            self._last = Sample(stamp, _motion(last.desired, desired, seconds), _motion(last.actual, actual, seconds))
         return self._last
 
 
-def _moved(before: Motion, q: tuple[float, ...], seconds: float) -> Motion:
+def _motion(before: Motion, q: tuple[float, ...], seconds: float) -> Motion:
+    """Return the motion at a pose that was reached within some seconds."""
     return Motion(q, tuple((b - a) / seconds for a, b in zip(before.position, q)))

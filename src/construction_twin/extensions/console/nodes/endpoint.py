@@ -96,10 +96,10 @@ class Connection:
         """Publish an answer, later where there is no connection now."""
         self._client.publish(topic, payload, qos=1)
 
-    def count(self, kind: RequestKind, word: str) -> None:
+    def count(self, kind: RequestKind, outcome: str) -> None:
         """Count a request by its outcome."""
         with self._counting:
-            self.counts[f"{kind.name} {word}"] += 1
+            self.counts[f"{kind.name} {outcome}"] += 1
 
     def write_log(self) -> None:
         """Flush the log queue; for a thread that may wait for a disk or a terminal."""
@@ -202,9 +202,9 @@ class IncomingRequest:
         self._answer(Outcome(False, sentence))
         self.count_refusal(reason, f"{self.kind.name}: {sentence}")
 
-    def count(self, word: str) -> None:
+    def count(self, outcome: str) -> None:
         """Count it by its outcome."""
-        self._connection.count(self.kind, word)
+        self._connection.count(self.kind, outcome)
 
     def count_refusal(self, reason: str, sentence: str) -> None:
         """Count that it was refused."""

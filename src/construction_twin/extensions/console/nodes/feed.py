@@ -133,7 +133,7 @@ class ConsoleFeed:
         self._connection, self._writer, self._poses = connection, writer, poses
         self._plan, self._executor_is_there = plan, executor_is_there
         self._deployment, self._files = deployment, files
-        # of the plan's progress, of the writer, of what is retained
+        # locks of the plan's progress, the writer, the retained messages
         self._lock, self._writing, self._publishing = threading.Lock(), threading.Lock(), threading.RLock()
         self._sync, self._link = _NewestReport(SyncReport), _NewestReport(LinkReport)
         self._speed = _NewestReport(SpeedReport)
@@ -325,10 +325,10 @@ class ConsoleFeed:
         sync: FreshReport[SyncReport] | None,
         execution: FreshReport[ExecutionReport] | None,
     ) -> list[Line]:
-        words = _reported_state(link), _reported_state(sync), _reported_state(execution)
+        states = _reported_state(link), _reported_state(sync), _reported_state(execution)
         deployment = self._deployment
         reports = CurrentReports(
-            *words,
+            *states,
             bare=link is not None and link.report.gateway_kind == "plc",
             plan=self._plan(),
             obstacle="" if execution is None else execution.report.approval_obstacle,
@@ -338,7 +338,7 @@ class ConsoleFeed:
         )
         if deployment is not None:
             inputs = StartupInputs(
-                *words, feedback=self._had_arm_pose, twin=self._had_twin_pose, scene=self._scene is not None
+                *states, feedback=self._had_arm_pose, twin=self._had_twin_pose, scene=self._scene is not None
             )
             missing = first_missing(inputs, deployment)
             reports = replace(reports, started=True, missing=missing, arm=deployment.arm != "none")

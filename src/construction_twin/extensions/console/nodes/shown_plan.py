@@ -129,7 +129,7 @@ class ShownPlan:
         self._connection.publish(self._topics.plan, self._board.payload, retain=True)
 
     def on_own_plan(self, payload: bytes) -> None:
-        """Store what the broker holds."""
+        """Store the retained `plan` of the broker."""
         self._received = payload
 
     def check(self) -> None:

@@ -215,16 +215,16 @@ class FollowJointTrajectoryNode:
         """Store the twin's pose [rad] with its stamp [ns]."""
         with self._poses:
             self._tracking.on_twin(stamp, q)
-        self._read_on()
+        self._pause_reading()
 
     def on_feedback(self, _stamp: int, q: tuple[float, ...], _seq: int, command_stamp: int) -> None:
         """Store the arm's pose [rad] with the stamp of its command [ns]."""
         with self._poses:
             self._tracking.on_arm(q, command_stamp)
-        self._read_on()
+        self._pause_reading()
 
-    def _read_on(self) -> None:
-        """Delay rospy's reading until the next pose is of interest."""
+    def _pause_reading(self) -> None:
+        """Delay rospy's reading while no goal needs poses, by `PAUSE` at most."""
         self._needs_poses.wait(PAUSE)
 
     def on_review(self, message: Review) -> None:

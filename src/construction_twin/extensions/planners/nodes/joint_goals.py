@@ -68,7 +68,7 @@ class GoalServer(ActionServer):
         return any(connection.endpoint_id == node for connection in self.status_pub.impl.connections)
 
     def internal_cancel_callback(self, goal_id: GoalID) -> None:
-        """Cancel present goals, and forget the time.
+        """Cancel present goals, and reset actionlib's `last_cancel`.
 
         actionlib drops every goal whose stamp is not later than the cancel's: a client whose clock is ahead locks the others out.
         """

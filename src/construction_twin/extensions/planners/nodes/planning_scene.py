@@ -134,7 +134,7 @@ class PlanningScenePublisher:
         return sorted(with_it | (set(item.touch) & set(bodies.link_joints)))
 
     def _fill_matrix(self, matrix, scene: Scene) -> None:
-        """Allow each pair of links and objects that is not checked here, and links that nothing moves beside unknown objects."""
+        """Allow each pair that is unchecked here, and fixed links with any unlisted object."""
         bodies = self._bodies
         own = (*bodies.bodies, *bodies.place_all(scene))
         names = list(dict.fromkeys(body.owner for body in own))
