@@ -117,18 +117,18 @@ export function makeConnection(store, {url, prefix, keep = () => {}, connect = m
   }
 
   function observe(mine) {
-    let heard = performance.now();
-    let looked = heard;
+    let lastPacket = performance.now();
+    let lastTick = lastPacket;
     mine.on("packetreceive", () => {
-      heard = performance.now();
+      lastPacket = performance.now();
     });
     watch = setInterval(() => {
       const at = performance.now();
-      // a page that did not run itself has not listened either
-      if (at - looked > 2 * PING_EVERY) heard = Math.max(heard, at - PING_EVERY);
-      looked = at;
-      if (mine.connected && at - heard > SILENCE) lose("silent");
-      else if (mine.connected && at - heard > PING_EVERY / 2) mine.sendPing();
+      // a suspended page cannot have received anything
+      if (at - lastTick > 2 * PING_EVERY) lastPacket = Math.max(lastPacket, at - PING_EVERY);
+      lastTick = at;
+      if (mine.connected && at - lastPacket > SILENCE) lose("silent");
+      else if (mine.connected && at - lastPacket > PING_EVERY / 2) mine.sendPing();
     }, PING_EVERY);
   }
 

@@ -62,8 +62,8 @@ export function answered(record, answer, account) {
   return {...record, answers: [...record.answers.filter((other) => other.by !== by), {...answer, by, ok, reason, expired}]};
 }
 
-/** Return the record at a time: after so long without an answer it is late. */
-export function waited(record, at) {
+/** Return the record, marked as late after its time for an answer. */
+export function markLate(record, at) {
   const isLate = record.verb !== "" && at - record.at >= (WITHIN[record.verb] ?? SECOND);
   return isLate && !record.late ? {...record, late: true} : record;
 }
@@ -121,7 +121,7 @@ export function makeRequests(store, connection, {now, every, time = () => ""}, a
     for (const [robot, record] of records) if (isBusy(record)) put(robot, {...record, late: true});
   });
   every(100, () => {
-    for (const [robot, record] of records) put(robot, waited(record, now()));
+    for (const [robot, record] of records) put(robot, markLate(record, now()));
   });
 
   async function publish(robot, verb, message) {

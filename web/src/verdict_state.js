@@ -148,13 +148,13 @@ const wait = (machine, {at}) => ({sent: {...machine.sent, at}});
 const giveUp = (machine) => ({...forget(), sent: null, notice: {kind: "unanswered", verdict: machine.sent.verdict, sent: machine.sent}});
 const win = (machine, {ack}) => ({sent: null, notice: {kind: "accepted", verdict: ack.verdict, reason: ack.reason, plan: ack.plan_id}});
 /** What an answer that says no tells; `expired`: it came too late after what the page had shown, and a person must look again. */
-const told = ({verdict}, {ack}) => ({kind: ack.expired === true ? "expired" : "refused", verdict, reason: ack.reason});
+const refusalNotice = ({verdict}, {ack: {expired, reason}}) => ({kind: expired === true ? "expired" : "refused", verdict, reason});
 /** What was looked at stays looked at, unless the answer says that it is too long ago. */
-const lose = (machine, event) => ({
+const lose = ({notice, sent}, event) => ({
   ...(event.ack.expired === true ? forget() : {pressedAt: null}), sent: null,
-  notice: machine.notice?.kind === "other" ? {...machine.notice, reason: event.ack.reason} : told(machine.sent, event),
+  notice: notice?.kind === "other" ? {...notice, reason: event.ack.reason} : refusalNotice(sent, event),
 });
-const learn = ({notice}, event) => ({notice: told(notice, event)});
+const noteLateRefusal = ({notice}, event) => ({notice: refusalNotice(notice, event)});
 const yieldTo = (machine, {ack}) => ({
   ...forget(), notice: {kind: "other", verdict: ack.verdict, account: ack.account || ack.reviewer || "", reason: ""},
 });
@@ -228,7 +228,7 @@ export const TABLE = [
   {states: SENT, event: "ack", guard: isUnread, action: lose, next: back},
   {states: ["unfit", "open"], event: "ack", guard: isLateTaken, action: win, next: "decided"},
   {states: ["none"], event: "ack", guard: isLateTaken, action: win},
-  {states: ["none", "unfit", "open"], event: "ack", guard: isLateRefused, action: learn},
+  {states: ["none", "unfit", "open"], event: "ack", guard: isLateRefused, action: noteLateRefusal},
   {states: ["unfit", "open", "pressing"], event: "ack", guard: isOthers, action: yieldTo, next: "decided"},
 ];
 

@@ -5,7 +5,7 @@ import {showAsking} from "../src/planning/asking.js";
 import {ends, fromShown, shown, typed} from "../src/planning/joints.js";
 import {modelOf} from "../src/planning/model.js";
 import {MOST, Poses, read} from "../src/planning/poses.js";
-import {answered, heardBroker, pressed, waited} from "../src/requests.js";
+import {answered, heardBroker, markLate, pressed} from "../src/requests.js";
 import {fakePage} from "./support/fake.js";
 import {textsIn} from "./support/sentences.js";
 
@@ -136,8 +136,8 @@ test("that there is a plan is said while it is under review; else what became of
   assert.match(told(found, "p7"), /There is a plan \(2\.0 s\)/);
   assert.deepEqual([told(found, "p8"), told(found)], ["", ""]);
   assert.match(told(answered(sent, {id: "1", account: "ada", reason: "out of reach"}, "ada")), /^No plan: out of reach/);
-  assert.match(told(waited(sent, 59_999)), /planner is looking/);
-  for (const lost of [waited(sent, 60_000), heardBroker(sent, "1", "unanswered")]) assert.match(told(lost), /may have arrived/);
+  assert.match(told(markLate(sent, 59_999)), /planner is looking/);
+  for (const lost of [markLate(sent, 60_000), heardBroker(sent, "1", "unanswered")]) assert.match(told(lost), /may have arrived/);
   assert.match(told(heardBroker(sent, "1", "nobody")), /Nobody takes requests/);
   assert.match(told(heardBroker(sent, "1", "refused")), /account ada/);
 });

@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import {test} from "node:test";
-import {answered, heardBroker, idle, outcome, pressed, waited} from "../src/requests.js";
+import {answered, heardBroker, idle, markLate, outcome, pressed} from "../src/requests.js";
 
 const answer = (by, ok, changes = {}) => ({id: "1", account: "ada", ok, reason: by, by, ...changes});
 const stop = () => heardBroker(pressed("stop", "1", 0), "1", "taken");
@@ -13,23 +13,23 @@ test("a press goes from sent to answered", () => {
 });
 
 test("a second without an answer is told, whatever the broker said", () => {
-  assert.equal(outcome(waited(stop(), 999)), "waiting");
-  assert.equal(outcome(waited(stop(), 1000)), "silent");
-  assert.equal(outcome(waited(pressed("stop", "1", 0), 1000)), "silent");
-  assert.equal(outcome(answered(waited(stop(), 1000), answer("gateway", true), "ada")), "done");
+  assert.equal(outcome(markLate(stop(), 999)), "waiting");
+  assert.equal(outcome(markLate(stop(), 1000)), "silent");
+  assert.equal(outcome(markLate(pressed("stop", "1", 0), 1000)), "silent");
+  assert.equal(outcome(answered(markLate(stop(), 1000), answer("gateway", true), "ada")), "done");
 });
 
 test("a stop that did not go out is never anything else", () => {
   for (const [word, told] of [["not_connected", "not_sent"], ["refused", "no_right"], ["unanswered", "unknown"], ["broker", "unknown"], ["format", "unknown"]]) {
     assert.equal(outcome(heardBroker(pressed("stop", "1", 0), "1", word)), told);
-    assert.equal(outcome(waited(heardBroker(pressed("stop", "1", 0), "1", word), 5000)), told);
+    assert.equal(outcome(markLate(heardBroker(pressed("stop", "1", 0), "1", word), 5000)), told);
   }
 });
 
 test("one who stops is enough; that one has nothing to stop does not hide that the other has not answered", () => {
   const none = answered(stop(), answer("executor", false), "ada");
   assert.equal(outcome(none), "waiting");
-  assert.equal(outcome(waited(none, 1000)), "refused");
+  assert.equal(outcome(markLate(none, 1000)), "refused");
   assert.equal(outcome(answered(none, answer("gateway", true), "ada")), "done");
   assert.equal(outcome(answered(none, answer("gateway", false), "ada")), "refused");
 });

@@ -126,7 +126,7 @@ export function make(parent, store, connection, texts, {storage = storageOf(), n
     show();
   }
 
-  /** Take joint values from a person, complete and inside their ranges. */
+  /** Set the goal to joint values, or say that one is out of range. */
   function setGoal(values) {
     const mine = selected();
     const {joints} = mine.model;

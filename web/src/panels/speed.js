@@ -76,7 +76,7 @@ export function make(parent, store, connection, texts, clock = browser) {
     if (!may(robot, "lower") && !may(robot, "raise")) return "right";
     return speed.blocked({connected: connection.state === "connected", view: found?.view ?? null, old: found?.old ?? true});
   };
-  const take = (robot, record) => {
+  const setRecord = (robot, record) => {
     if (robot === "") return;
     records.set(robot, record);
     if (robot === store.selected) show();
@@ -89,17 +89,17 @@ export function make(parent, store, connection, texts, clock = browser) {
   const raise = (robot) => {
     const limit = speed.raise(recordOf(robot), peopleOf(robot));
     if (limit === null) return;
-    take(robot, speed.confirmed(recordOf(robot)));
+    setRecord(robot, speed.confirmed(recordOf(robot)));
     requests.send(robot, "raise_speed", {limit: limit / 100});
   };
   const look = (robot) => {
     const people = peopleOf(robot);
     const before = recordOf(robot);
     const record = speed.passed(before, people, now(), outcome(requests.of(robot)));
-    if (record !== before) take(robot, record);
+    if (record !== before) setRecord(robot, record);
     const limit = why(robot) === "" ? speed.due(record, people, now()) : null;
     if (limit === null) return;
-    take(robot, speed.lowered(record, limit, now()));
+    setRecord(robot, speed.lowered(record, limit, now()));
     requests.send(robot, "lower_speed", {limit: limit / 100});
   };
   const move = (limit) => {
@@ -107,7 +107,7 @@ export function make(parent, store, connection, texts, clock = browser) {
     if (robot === "" || why(robot) !== "") return;
     const people = peopleOf(robot);
     const way = Math.sign(limit - speed.known(recordOf(robot), people));
-    take(robot, way === 0 || may(robot, way < 0 ? "lower" : "raise") ? speed.moved(recordOf(robot), limit, people, now()) : recordOf(robot));
+    setRecord(robot, way === 0 || may(robot, way < 0 ? "lower" : "raise") ? speed.moved(recordOf(robot), limit, people, now()) : recordOf(robot));
     look(robot);
   };
 

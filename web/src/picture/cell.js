@@ -151,7 +151,7 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
     }
   }
 
-  /** Load the building model that tasks are of, by the model's hash. A file of another model is not taken: it may be an old one. */
+  /** Load the building model of this hash; an older file is ignored, and loaded again later. */
   async function loadModel(hash) {
     if (buildingOf === hash) return;
     buildingOf = hash;
