@@ -206,7 +206,7 @@ class Boundary:
             return refused
         if self._voided:
             self._arm_again(stamp, now, tool, may_switch)
-        return self._late(now, tool)
+        return self._check_fired(now, tool)
 
     def _confirmed_before(self, tool: ToolReport) -> BoundaryEvent | None:
         """Return the event of a switch that was confirmed before it fired, as by a stuck sensor."""
@@ -249,7 +249,7 @@ class Boundary:
                 return BoundaryEvent(ExecutorEvent.REFUSED, sentence)
         return None
 
-    def _late(self, now: int, tool: ToolReport) -> BoundaryEvent | None:
+    def _check_fired(self, now: int, tool: ToolReport) -> BoundaryEvent | None:
         """Confirm fired switches; return the event of an overdue one."""
         assert self._armed_at is not None  # the caller has seen to that
         late, all_in = None, True
@@ -407,8 +407,8 @@ class SegmentRun:
         if event is not None or not self._boundary.done:
             return event
         following = self.plan.segments[self.number + 1] if self.number + 1 < len(self.plan.segments) else None
-        if not self._is_recorded(following, now):
-            assert self._recording_since is not None  # `_is_recorded` has set it
+        if not self._record_engagement(following, now):
+            assert self._recording_since is not None  # `_record_engagement` has set it
             if now - self._recording_since > RECORD_TIMEOUT:
                 late = Sentence("the disk did not take what the way back needs; see the executor's log")
                 return BoundaryEvent(ExecutorEvent.TIMEOUT, late)
@@ -422,8 +422,8 @@ class SegmentRun:
             return BoundaryEvent(ExecutorEvent.LOST, lost)
         return BoundaryEvent(ExecutorEvent.NEXT_SEGMENT)
 
-    def _is_recorded(self, following: Segment | None, now: int) -> bool:
-        """Return whether the disk holds the next segment's engagement, or none."""
+    def _record_engagement(self, following: Segment | None, now: int) -> bool:
+        """Record the next segment's engagement, or its absence; return whether it is on the disk."""
         if self.way_back:
             return True
         if self._recording_since is None:

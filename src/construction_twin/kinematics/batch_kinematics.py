@@ -14,7 +14,7 @@ from construction_twin.kinematics.chain import Chain, joint_axes
 _DAMPING = 1e-14
 _DIAGONAL, _ONE = np.arange(6), np.eye(4)
 #: So many joint vectors are computed together: their arrays stay in the processor's cache.
-_TOGETHER = 128
+_BATCH = 128
 
 
 class BatchKinematics:
@@ -45,8 +45,8 @@ class BatchKinematics:
 
     def frames(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the tip's poses, shape (k, 4, 4), and the Jacobians, shape (k, 6, n), as `Chain.jacobian`; `q` is (k, n)."""
-        if len(q) > _TOGETHER:
-            parts = [self.frames(q[first : first + _TOGETHER]) for first in range(0, len(q), _TOGETHER)]
+        if len(q) > _BATCH:
+            parts = [self.frames(q[first : first + _BATCH]) for first in range(0, len(q), _BATCH)]
             return np.concatenate([tip for tip, _ in parts]), np.concatenate([jacobian for _, jacobian in parts])
         before, tip = self._products(q)
         turned = before[:, :, :3, :3]
@@ -76,9 +76,9 @@ class BatchKinematics:
         return before, before[-1] @ moves[:, -1] @ self._home
 
     def _tips(self, q: np.ndarray) -> np.ndarray:
-        if len(q) <= _TOGETHER:
+        if len(q) <= _BATCH:
             return self._products(q)[1]
-        return np.concatenate([self._tips(q[first : first + _TOGETHER]) for first in range(0, len(q), _TOGETHER)])
+        return np.concatenate([self._tips(q[first : first + _BATCH]) for first in range(0, len(q), _BATCH)])
 
     def poses(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the tip's positions, shape (k, 3), and rotations, shape (k, 3, 3)."""

@@ -36,7 +36,7 @@ class BranchInverse(InverseKinematics, abc.ABC):
     def nearest_branch(
         self, branches: Sequence[Sequence[float]], seed: JointValues
     ) -> tuple[int, float, list[float]] | None:
-        """Return which branch is nearest to a seed in range, its squared distance and joint values; None: all are out of range."""
+        """Return index, squared distance and joint values of the in-range branch nearest to a seed; None: all are out of range."""
         least, nearest = math.inf, None
         # Plain floats in one loop, and the joint with the narrowest range first: most branches fail at the first or second joint,
         # and one further away than the nearest so far need not be known to its end.

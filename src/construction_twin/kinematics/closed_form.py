@@ -176,7 +176,7 @@ class ClosedFormInverse(BranchInverse):
         if _EDGE < abs(x) and math.isfinite(sum(wrist)):
             return [(q[0], wrist)]  # no branch is missing
         margins = [min(both) for both in self.model.margins(x, y, z)]
-        targets = [self._tilted(flange)] if _is_lost(wrist, margins) else []
+        targets = [self._tilted(flange)] if _lacks_branches(wrist, margins) else []
         if math.hypot(x, y) < _EDGE:
             targets += self._headings(flange, seed)
         else:
@@ -202,7 +202,7 @@ class ClosedFormInverse(BranchInverse):
         length = outer - _INSIDE if outer < inner else _INSIDE - inner
         moved = flange.copy()
         moved[:3, 3] += length * self.model.outwards(*centre)[side]
-        lost = _is_lost(self.branches(moved)[1][0], [_INSIDE if other == side else 0.0 for other in (0, 1)])
+        lost = _lacks_branches(self.branches(moved)[1][0], [_INSIDE if other == side else 0.0 for other in (0, 1)])
         return [moved, self._tilted(moved)] if lost else [moved]
 
     def _headings(self, flange: np.ndarray, seed: JointValues) -> list[np.ndarray]:
@@ -334,8 +334,8 @@ class ClosedFormInverse(BranchInverse):
         return min(found, key=max, default=(math.inf, math.inf))
 
 
-def _is_lost(wrist: list[float], margins: Sequence[float]) -> bool:
-    """Return whether a shoulder that reaches the wrist centre has missing branches, which means that the wrist is singular."""
+def _lacks_branches(wrist: list[float], margins: Sequence[float]) -> bool:
+    """Return whether branches are missing at a shoulder within reach: the wrist is singular."""
     if not math.isnan(sum(wrist)):
         return False
     for margin, slots in zip(margins, _SIDES):

@@ -43,7 +43,7 @@ _SAME = 1e-4
 _SELF_MOTIONS = 30
 _SETTLED = 1e-7
 #: Besides the nearest ones, `all` returns at most so many of a redundant arm.
-_MOST = 64
+_MOST_SPACED = 64
 #: Longest step along the self-motion [rad].
 _STEP = 0.4
 #: Singular values below this fraction of the largest are directions in which the tip cannot move.
@@ -209,12 +209,12 @@ class _Search:
         return sorted(turned, key=lambda solution: solution.distance)
 
     def _spaced(self, found: list[IkSolution]) -> Iterator[IkSolution]:
-        """Yield where the solver ended before the arm moved along its self-motion, each apart from all others, nearest first."""
+        """Yield the solver's own solutions, before the self-motion, spaced apart, nearest first."""
         unmoved = np.array(sorted(self._unmoved, key=lambda q: math.dist(q, self._seed))).reshape(-1, len(self._seed))
         return spaced(
             unmoved,
             found,
-            _MOST,
+            _MOST_SPACED,
             lambda number: self._inverse.confirmed(unmoved[number].tolist(), self._pose, self._seed),
         )
 

@@ -320,7 +320,7 @@ class RailInverse(InverseKinematics):
 
 
 def _minima(values: np.ndarray) -> np.ndarray:
-    """Return where rows have a local minimum of finite values; shape (r, m), as theirs."""
+    """Return the mask of each row's finite local minima, shape (r, m)."""
     falls = np.ones((len(values), values.shape[1] + 1), dtype=bool)
     np.less(values[:, 1:], values[:, :-1], out=falls[:, 1:-1])
     falls[:, -1] = False
@@ -366,5 +366,5 @@ def _promising(
 
 
 def _either(columns: np.ndarray) -> np.ndarray:
-    """Return the intervals that begin or end at some columns."""
+    """Return the mask of the intervals beside marked columns, shape (r, m - 1)."""
     return columns[:, 1:] | columns[:, :-1]

@@ -164,7 +164,7 @@ class SubproblemInverse(BranchInverse):
         self._solver = form.solver()
         self._target = np.eye(4)
         self._elements, self._ones = self._target.reshape(16), np.ones(16)
-        # of joints whose neighbours can come in line: the cosine between these is constant + cosine cos(q) + sine sin(q)
+        # joints between two axes that can line up; cosine of the angle between those: constant + cosine cos(q) + sine sin(q)
         self._alignments = []
         for joint in (1, 4):
             first, turning, last = form.directions[joint - 1 : joint + 2].tolist()

@@ -155,7 +155,7 @@ def rounded(points: np.ndarray, pace: np.ndarray, corner_fraction: float) -> Joi
 
 
 def parameters(points: np.ndarray, pace: np.ndarray) -> np.ndarray:
-    """Return where on a curve each of its points is, shape (m,); of `rounded` where it is nearest to its corners."""
+    """Return the curve parameter of each point, shape (m,); on a `rounded` curve the one nearest to each corner."""
     return np.concatenate(([0.0], np.cumsum(_spans(points, pace))))
 
 

@@ -152,9 +152,9 @@ class OmplSearch:
     def find(self, query: PathQuery, budget: float) -> np.ndarray:
         """Find a path from the start to one of the goals, shape (m, n), or raise NoPathError after a budget on OMPL's clock [s].
 
-        No point is like the one before, both ends are exact, and the edges between are free by the query's validator.
+        Neighbouring points differ, both ends are exact, and `query.validator` finds each edge free.
         """
-        # most edges of a search are in no path: they are checked coarsely first, and the path that comes of them as asked
+        # few edges of a search are in its path: a search is checked coarsely, its path finely; at a fault it starts again, finely
         for times in (COARSER, 1.0):
             points = self._search(query, query.validator.coarser(times), budget)
             path = shortened(points, query.validator.free)

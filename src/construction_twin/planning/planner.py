@@ -100,12 +100,12 @@ class PlanRequest:
         planner: str,
         planning_time: float,
         trajectory: Trajectory,
-        measured: PlanReport,
+        report: PlanReport,
         scene: str,
         task: str = "",
         segments: tuple[Segment, ...] = (),
     ) -> Plan:
-        """Return the plan that answers this request; `planning_time` is without the report's own [s]."""
+        """Return the plan that answers this request; `planning_time` excludes the recheck [s]."""
         return Plan(
             id=self.plan_id,
             hash=content_hash(trajectory, task, segments),
@@ -115,7 +115,7 @@ class PlanRequest:
             asked=self.asked,
             planning_time=planning_time,
             trajectory=trajectory,
-            report=measured,
+            report=report,
             task=task,
             segments=segments,
         )

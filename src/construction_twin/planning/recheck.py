@@ -80,7 +80,7 @@ def recheck(
     q = np.concatenate((sampled.positions[moving], trajectory.positions[-1:]))
     check_free(q, times, world)
     clearance, place = world.clearance_of(q, changing=True)
-    clearance = dataclasses.replace(clearance, time=at_place(times, place))
+    clearance = dataclasses.replace(clearance, time=time_at(times, place))
     return PlanReport(clearance, usage, clock() - began)
 
 
@@ -110,12 +110,12 @@ def check_free(q: np.ndarray, times: np.ndarray, world: CollisionWorld) -> None:
     found = world.first_contact(q)
     if found is not None:
         place, contact = found
-        seconds = at_place(times, place)
+        seconds = time_at(times, place)
         raise CollisionError(contact.between, _at(seconds), seconds)
 
 
-def at_place(times: np.ndarray, place: float) -> float:
-    """Return the time of a place on a motion [s], given the times of its rows; 3.5 is half way from row 3 to row 4."""
+def time_at(times: np.ndarray, place: float) -> float:
+    """Return the time at a place on a motion [s], given the times of its rows; 3.5 is half way from row 3 to row 4."""
     return float(np.interp(place, np.arange(len(times)), times))
 
 

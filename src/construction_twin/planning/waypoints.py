@@ -88,11 +88,11 @@ class Waypoints:
         """Return how messages call the way to a waypoint, e.g. ``between point 3 and point 4``."""
         # of a single waypoint the other one is the present pose
         if self.rows[index - 1] == self.rows[index]:
-            return Sentence("on the way to {place}", place=self.place(index))
-        return Sentence("between {first} and {second}", first=self.place(index - 1), second=self.place(index))
+            return Sentence("on the way to {place}", place=self.label(index))
+        return Sentence("between {first} and {second}", first=self.label(index - 1), second=self.label(index))
 
-    def place(self, index: int) -> str:
-        """Return how messages call a waypoint, e.g. ``line 7``."""
+    def label(self, index: int) -> str:
+        """Return a waypoint's label in messages, e.g. ``line 7``."""
         row = self.rows[index]
         return f"line {row}" if self.row_name == "line" else f"point {row}"
 
@@ -149,12 +149,12 @@ def check_finite(waypoints: Waypoints, robot: RobotModel) -> None:
         if len(wrong):
             row, joint = wrong[0]
             value, joint_name = values[row, joint], robot.joint_names[joint]
-            found = f"{waypoints.place(row)}: {joint_name} has {value} among the {name}; expected a finite number"
+            found = f"{waypoints.label(row)}: {joint_name} has {value} among the {name}; expected a finite number"
             raise WaypointsError(found, waypoints.rows[row], joint_name, value)
     if waypoints.times is not None and not np.all(np.isfinite(waypoints.times)):
         row = int(np.argmin(np.isfinite(waypoints.times)))
         value = waypoints.times[row]
-        found = f"{waypoints.place(row)}: the time is {value}; expected a finite number"
+        found = f"{waypoints.label(row)}: the time is {value}; expected a finite number"
         raise WaypointsError(found, waypoints.rows[row])
 
 
@@ -256,7 +256,7 @@ def _check_ranges(waypoints: Waypoints, robot: RobotModel) -> None:
         name, unit, value = robot.joint_names[joint], waypoints.units[joint], waypoints.positions[row, joint]
         limit = robot.lower[joint] if value < robot.lower[joint] else robot.upper[joint]
         span = f"{unit.text(robot.lower[joint])} to {unit.text(robot.upper[joint])}"
-        found = f"{waypoints.place(row)}: {name} is {unit.text(value)}; its range is {span}"
+        found = f"{waypoints.label(row)}: {name} is {unit.text(value)}; its range is {span}"
         raise WaypointsError(found, waypoints.rows[row], name, float(value), limit)
 
 
@@ -325,7 +325,7 @@ def _from_present(waypoints: Waypoints, present: np.ndarray, robot: RobotModel) 
             # as other controllers understand it: from wherever the arm is to the first point, in its time
             advice = f"put the arm's pose before it, at 0 s, or {advice}"
         at = f"{name} is {unit.text(value)}, but the arm is at {unit.text(present[joint])}"
-        found = f"{waypoints.place(0)}: {at}; expected within {unit.text(tolerance[joint])} of it: {advice}"
+        found = f"{waypoints.label(0)}: {at}; expected within {unit.text(tolerance[joint])} of it: {advice}"
         raise WaypointsError(found, waypoints.rows[0], name, float(value), float(tolerance[joint]))
     positions = waypoints.positions.copy()
     positions[0] = present
@@ -337,7 +337,7 @@ def _check_times(waypoints: Waypoints, times: np.ndarray) -> None:
     if len(late):
         row = int(late[0]) + 1
         before, time = times[row - 1 : row + 1]
-        found = f"{waypoints.place(row)}: its time {time:.9g} s is not after {before:.9g} s; times must increase"
+        found = f"{waypoints.label(row)}: its time {time:.9g} s is not after {before:.9g} s; times must increase"
         raise WaypointsError(found, waypoints.rows[row], "", float(time))
 
 
@@ -350,7 +350,7 @@ def _moving_end(waypoints: Waypoints, robot: RobotModel) -> WaypointTimesError |
         name, found = robot.joint_names[joint], waypoints.units[joint].text(value, per)
         if late:
             found = f"{found}, no more than {LATE_STEP * 1e3:g} ms of its acceleration"
-        message = f"{waypoints.place(row)}: {name} moves there ({found}); the motion must begin and end at rest"
+        message = f"{waypoints.label(row)}: {name} moves there ({found}); the motion must begin and end at rest"
         return message, waypoints.rows[row], name, value, 0.0
 
     found: WaypointTimesError | None = None
@@ -384,7 +384,7 @@ def _check_given_velocities(waypoints: Waypoints, robot: RobotModel) -> None:
     for row, joint in np.argwhere(needed > BETWEEN_POINTS * limits)[:1].tolist():
         unit, value = waypoints.units[joint], float(needed[row, joint])
         name, limit = robot.joint_names[joint], float(limits[joint])
-        message = _too_fast(waypoints.place(row), name, "a velocity", unit, value, limit, "/s")
+        message = _too_fast(waypoints.label(row), name, "a velocity", unit, value, limit, "/s")
         raise WaypointsError(message, waypoints.rows[row], name, value, limit)
 
 
@@ -428,7 +428,7 @@ def _check_limits(trajectory: Trajectory, waypoints: Waypoints, robot: RobotMode
     def place(sample: int) -> tuple[int, str]:
         time = float(sampled.times[sample])
         row = int(np.clip(np.searchsorted(trajectory.times, time), 1, len(waypoints.rows) - 1))
-        return row, f"{waypoints.place(row)} (on the path to it, {time:.3f} s after the start)"
+        return row, f"{waypoints.label(row)} (on the path to it, {time:.3f} s after the start)"
 
     excess = range_excess(sampled.positions, robot)
     for sample, joint in np.argwhere(excess > 0.0)[:1].tolist():

@@ -304,7 +304,7 @@ def find_other_joints(model: URDF, chain: Collection[str], positions: Mapping[st
 
 
 def other_joints_text(others: Sequence[OtherJoint], base_link: str, tip_link: str) -> str:
-    """Return the sentence that tells a person about them; empty when there are none."""
+    """Return the sentence about the joints outside of the chain; empty without any."""
     still = [str(joint) for joint in others if joint.position is not None]
     moving = [str(joint) for joint in others if joint.position is None]
     if not others:

@@ -24,7 +24,7 @@ def home_positions(path: str | Path) -> dict[str, float]:
 
 
 def main() -> None:
-    """Print the URDF of a xacro file, or the home pose as YAML [rad], [m]; a file that is wrong ends with one sentence."""
+    """Print the URDF of a xacro file, or a robot YAML's home pose [rad], [m]; a wrong file ends the program with a sentence."""
     words = sys.argv[1:]
     if len(words) == 2 and words[0] == "--home":
         try:

@@ -27,7 +27,7 @@ CONTINUOUS_DEG = 360.0
 _JERK_TIME = 0.1
 _DEGREES = 180.0 / math.pi
 #: More joints than RSI has axes for.
-_MOST = 12
+_MOST_JOINTS = 12
 #: Beyond this [rad], a turn and a bit, whole numbers are probably degrees; no industrial arm's joint is as fast as this [rad/s].
 _FAR, _FAST = 6.5, 30.0
 
@@ -67,10 +67,10 @@ def _path(model: URDF, link: str) -> list[str]:
 
 
 def new_description(urdf: str, name: str, base_link: str, tip_link: str, full_speed_in: float) -> dict[str, Any]:
-    """Return the mapping of a robot YAML: home in the middle of every range, full speed in the time given [s]."""
+    """Return a robot YAML's mapping: home in mid-range, accelerations that reach full speed in `full_speed_in` [s]."""
     joints = [joint for joint in chain_joints(parse_urdf(urdf), base_link, tip_link) if joint.joint_type != "fixed"]
-    if not 0 < len(joints) <= _MOST:
-        raise ConfigurationError("tip link", tip_link, f"a link that 1 to {_MOST} joints move; {len(joints)} do")
+    if not 0 < len(joints) <= _MOST_JOINTS:
+        raise ConfigurationError("tip link", tip_link, f"a link that 1 to {_MOST_JOINTS} joints move; {len(joints)} do")
     axes = rsi_axes([joint.joint_type == "prismatic" for joint in joints])
     endless = any(joint.joint_type == "continuous" for joint in joints)
     described = {joint.name: _joint(joint, axis, full_speed_in) for joint, axis in zip(joints, axes)}
@@ -97,7 +97,7 @@ def robot_of_urdf(
 def rsi_axes(linear: Sequence[bool]) -> list[str]:
     """Return the RSI axis of each joint: prismatic ones before the first revolute one E1 on, then A1 to A6, then E again."""
     tracks = next((index for index, prismatic in enumerate(linear) if not prismatic), 0)
-    external = iter(f"E{number}" for number in range(1, _MOST))
+    external = iter(f"E{number}" for number in range(1, _MOST_JOINTS))
     own = range(-tracks, len(linear) - tracks)
     return [f"A{index + 1}" if 0 <= index < 6 else next(external) for index in own]
 
@@ -150,7 +150,7 @@ def _rounded(value: float) -> float:
 
 
 def with_home(description: Mapping[str, Any], home: Sequence[float]) -> dict[str, Any]:
-    """Return a robot YAML's mapping with a home pose [rad], [m], in the order of its joints, as no estimate."""
+    """Return a robot YAML's mapping with a confirmed home pose [rad], [m], in the order of its joints."""
     joints = {}
     for (name, joint), value in zip(description["joints"].items(), home):
         key, per_unit = ("home_mm", 1e3) if "home_mm" in joint else ("home_deg", _DEGREES)

@@ -71,12 +71,12 @@ class Trajectory:
         return q, qd, qdd
 
     def sample_many(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Evaluate the motion and its jerk at many times, shape (m,): shape (m, n) each, outside of it as `sample` does."""
+        """Evaluate position, velocity, acceleration and jerk, shape (m, n) each, at times, shape (m,), clamped as in `sample`."""
         times = np.asarray(times, dtype=np.float64)
         segment = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
         x = (np.clip(times, 0.0, self.duration) - self.times[segment])[:, None]
         coefficients = self._coefficients[segment]
-        # Horner's scheme for all four: each order takes what the order below was before
+        # Horner's scheme for the value and three derivatives, each from the one below before its update
         q = coefficients[:, 5] * x + coefficients[:, 4]
         qd, half, sixth = coefficients[:, 5], np.zeros_like(q), np.zeros_like(q)
         for degree in (3, 2, 1, 0):

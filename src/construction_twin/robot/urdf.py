@@ -147,7 +147,7 @@ def parse_urdf(urdf: str) -> URDF:
 
 
 def _check_limits(urdf: str) -> None:
-    """Name the joints whose limits lack what a URDF demands of them."""
+    """Refuse joints whose `<limit>` lacks effort or velocity."""
     lacking = []
     for joint in ElementTree.fromstring(urdf.encode()).iterfind("joint"):
         for limit in joint.iterfind("limit"):

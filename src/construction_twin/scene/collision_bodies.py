@@ -119,7 +119,7 @@ class RobotBodies:
         )  # fmt: skip
 
     def rows(self, qs: np.ndarray) -> np.ndarray:
-        """Return joint values, shape (m, n), in Pinocchio's order, those that follow included, shape (m, size)."""
+        """Return Pinocchio's configurations, shape (m, size), of joint vectors, shape (m, n), mimic joints included."""
         rows = np.empty((len(qs), self.size))
         rows[:, self.order] = qs
         self.follow(rows)
@@ -394,8 +394,8 @@ def measured(
     raise SceneError("two shapes that touch", "no depth that Coal can measure", "a pose 0.1 mm from there")
 
 
-def configure_distances(data: pinocchio.GeometryData, margins: Sequence[float] = ()) -> None:
-    """Configure Coal: answers by the pose alone, no missed contact, and the distance of a contact for each pair [m].
+def configure_coal(data: pinocchio.GeometryData, margins: Sequence[float] = ()) -> None:
+    """Configure Coal's contact and distance requests: repeatable answers, every contact found, `margins` of the pairs [m].
 
     The warm start of the distance search is switched off, because it makes an answer depend on earlier ones. Contact points are
     asked for, although nobody reads them: without them Coal's GJK calls a few of ten thousand deep contacts of convex bodies free

@@ -248,7 +248,7 @@ class _Part:
         self._worst = middles[worst], normals[worst]
 
     def cut(self) -> list[_Part]:
-        """Return what the best plane leaves of this part; empty: none divides it."""
+        """Return the parts into which the best plane divides this one; empty: none does."""
         found: list[manifold3d.Manifold] = []
         least = np.inf
         for normal, offset in self._planes():

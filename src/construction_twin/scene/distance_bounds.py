@@ -104,27 +104,27 @@ class Motion:
         self._places = np.repeat([0.0, float(last)], pairs)
         self._distances = measure(self._places, self._pairs)
         moved = travel.at(self._places, self._pairs).reshape(2, pairs)
-        self._gaps = _Gaps(float(last), self._distances.reshape(2, pairs), moved)
+        self._stretches = _Stretches(float(last), self._distances.reshape(2, pairs), moved)
 
     def smallest(self, without: Sequence[int] = ()) -> tuple[float, int]:
         """Return place and pair of the smallest distance: no other is smaller by more than `ACCURACY` or `ACCURACY_PART` of it."""
         wanted = np.ones(self._count, dtype=bool)
         wanted[list(without)] = False
-        gaps = self._gaps
+        stretches = self._stretches
         while True:
             measured = np.flatnonzero(wanted[self._pairs])
             closest = int(measured[np.argmin(self._distances[measured])])
             best = float(self._distances[closest])
             below = best - max(ACCURACY, ACCURACY_PART * best)
-            chosen = np.flatnonzero((gaps.table[_BOUND] < below) & wanted[gaps.pairs])
+            chosen = np.flatnonzero((stretches.table[_BOUND] < below) & wanted[stretches.pairs])
             if not len(chosen):
                 return float(self._places[closest]), int(self._pairs[closest])
-            self._divide(_first_of(chosen, gaps.table[_BOUND, chosen], _DIVIDED))
+            self._divide(_first_of(chosen, stretches.table[_BOUND, chosen], _DIVIDED))
 
     def first_contact(
         self, margins: np.ndarray, touches: Callable[[float, int], bool]
     ) -> tuple[tuple[float, int] | None, np.ndarray]:
-        """Find where two bodies first come to their margin, shape (p,) [m], if ``touches(place, pair)`` agrees.
+        """Find the first place at which two bodies come to their margin, shape (p,) [m], as ``touches(place, pair)`` confirms.
 
         Returns:
             first: Place and pair; None: none do. No contact is earlier, except one during which no point of a pair moves further
@@ -132,47 +132,46 @@ class Motion:
             doubtful: Shape (k,). Earlier rows in which a pair is at its margin, and neither bound nor measurement decides.
         """
         first: tuple[float, int] | None = None
-        asked, beside = 0, []
+        examined, doubtful = 0, []
         limits = margins + TOLERANCE
         while True:
-            within = asked + np.flatnonzero(self._distances[asked:] <= limits[self._pairs[asked:]])
-            asked = len(self._distances)
+            within = examined + np.flatnonzero(self._distances[examined:] <= limits[self._pairs[examined:]])
+            examined = len(self._distances)
             for index in within[np.argsort(self._places[within], kind="stable")].tolist():
                 place, pair = float(self._places[index]), int(self._pairs[index])
                 if first is None or place < first[0]:
                     if touches(place, pair):
                         first = place, pair
                     else:
-                        beside.append((place, place))
-            gaps = self._gaps
-            open_ = gaps.table[_BOUND] < limits[gaps.pairs]
+                        doubtful.append((place, place))
+            stretches = self._stretches
+            open_ = stretches.table[_BOUND] < limits[stretches.pairs]
             if first is not None:
-                open_ &= gaps.table[_LOW] < first[0]
+                open_ &= stretches.table[_LOW] < first[0]
             chosen = np.flatnonzero(open_)
-            chosen = chosen[gaps.divisible(chosen)]
+            chosen = chosen[stretches.divisible(chosen)]
             if not len(chosen):
                 left = np.flatnonzero(open_)
-                beside += zip(gaps.table[_LOW, left].tolist(), gaps.table[_HIGH, left].tolist())
-                return first, _rows_within(beside, math.inf if first is None else first[0])
+                doubtful += zip(stretches.table[_LOW, left].tolist(), stretches.table[_HIGH, left].tolist())
+                return first, _rows_within(doubtful, math.inf if first is None else first[0])
             # earlier ones first: a contact that is found ends the search of all that comes later
-            self._divide(_first_of(chosen, gaps.table[_LOW, chosen], _DIVIDED))
+            self._divide(_first_of(chosen, stretches.table[_LOW, chosen], _DIVIDED))
 
     def _divide(self, chosen: np.ndarray) -> None:
         """Measure somewhere within stretches, and put their two parts in their place."""
-        places, pairs = self._gaps.middles(chosen), self._gaps.pairs[chosen]
+        places, pairs = self._stretches.middles(chosen), self._stretches.pairs[chosen]
         distances = self._measure(places, pairs)
         self._places = np.concatenate((self._places, places))
         self._pairs = np.concatenate((self._pairs, pairs))
         self._distances = np.concatenate((self._distances, distances))
-        self._gaps.divide(chosen, places, distances, self._travel.at(places, pairs))
+        self._stretches.divide(chosen, places, distances, self._travel.at(places, pairs))
 
 
-class _Gaps:
+class _Stretches:
     """Stretches of a motion between two places, each of one of `pairs`, at first one of each from 0 to the last row.
 
-    At both ends a lower bound of the distance is kept, and the travel of the pair up to there: between them the distance is nowhere
-    smaller than half of what is left of both when the travel between is taken off. `distances`, `moved`: shape (2, p), at both ends
-    [m].
+    Kept of both ends: a lower bound of the distance, and the travel of the pair up to there. Between them the distance is nowhere
+    smaller than half of what is left of both when the travel between is taken off. `distances`, `moved`: shape (2, p) [m].
     """
 
     def __init__(self, last: float, distances: np.ndarray, moved: np.ndarray):
@@ -192,9 +191,9 @@ class _Gaps:
 
         In a row as long as there is one in between, then between two.
         """
-        gap = self.table[:, which]
-        lows, highs, at_lows, at_highs = gap[:4]
-        ways = np.maximum(gap[_MOVED_HIGH] - gap[_MOVED_LOW], 1e-300)
+        stretch = self.table[:, which]
+        lows, highs, at_lows, at_highs = stretch[:4]
+        ways = np.maximum(stretch[_MOVED_HIGH] - stretch[_MOVED_LOW], 1e-300)
         # not too near an end, or the search would hardly get on
         part = np.clip(0.5 + 0.5 * (at_lows - at_highs) / ways, _EDGE, 1.0 - _EDGE)
         places = lows + part * (highs - lows)
@@ -202,7 +201,7 @@ class _Gaps:
         return np.where(first <= last, np.clip(np.round(places), first, last), places)
 
     def divide(self, which: np.ndarray, places: np.ndarray, distances: np.ndarray, moved: np.ndarray) -> None:
-        """Put two parts in the place of some stretches, given what was measured where they meet."""
+        """Replace stretches by their two parts, given what was measured between them."""
         first = self.table[:, which]
         second = first.copy()
         first[_HIGH], first[_AT_HIGH], first[_MOVED_HIGH] = places, distances, moved
@@ -216,8 +215,9 @@ class _Gaps:
         self.pairs = np.concatenate((self.pairs, self.pairs[which]))
 
 
-def _bounds(gap: np.ndarray) -> np.ndarray:
-    return (gap[_AT_LOW] + gap[_AT_HIGH] - (gap[_MOVED_HIGH] - gap[_MOVED_LOW])) / 2
+def _bounds(stretch: np.ndarray) -> np.ndarray:
+    """Return a lower bound of the distance on each stretch [m]."""
+    return (stretch[_AT_LOW] + stretch[_AT_HIGH] - (stretch[_MOVED_HIGH] - stretch[_MOVED_LOW])) / 2
 
 
 def _rows_within(stretches: Sequence[tuple[float, float]], end: float) -> np.ndarray:

@@ -98,12 +98,12 @@ class Obstacle:
 
 
 class Neighbour:
-    """Another robot, in the frame of ours; `root_T_root` of both URDFs, see `cell.Cell`."""
+    """Another robot; `own_root_T_root`: its URDF's root in that of ours, see `Cell.root_T_root`."""
 
-    def __init__(self, name: str, robot: RobotModel, root_T_root: Pose):
+    def __init__(self, name: str, robot: RobotModel, own_root_T_root: Pose):
         self.name = name
         self._robot_bodies = RobotBodies(robot)
-        self._root_T_root = pinocchio.SE3(root_T_root.rotation, root_T_root.position)
+        self._own_root_T_root = pinocchio.SE3(own_root_T_root.rotation, own_root_T_root.position)
         self._set_bodies(self._robot_bodies.bodies)
 
     def carrying(self, items: Iterable[SceneObject]) -> Neighbour:
@@ -163,7 +163,7 @@ class Neighbour:
             pinocchio.forwardKinematics(model, data, rows[row])
             for index in wanted[row]:
                 body = self._bodies[index]
-                placements[index].append(self._root_T_root * data.oMi[body.joint] * body.placement)
+                placements[index].append(self._own_root_T_root * data.oMi[body.joint] * body.placement)
         return placements
 
 

@@ -12,7 +12,7 @@ import pinocchio
 
 from construction_twin.robot.description import JointValues
 from construction_twin.robot.plan import Clearance
-from construction_twin.scene.collision_bodies import UNKNOWN, Body, RobotBodies, configure_distances, measured
+from construction_twin.scene.collision_bodies import UNKNOWN, Body, RobotBodies, configure_coal, measured
 from construction_twin.scene.distance_bounds import Motion, Travel, pair_levers
 from construction_twin.scene.self_collision import SelfCollision
 
@@ -55,7 +55,7 @@ class PairChecks:
             self._geometry.addCollisionPair(pinocchio.CollisionPair(first, second))
         self._data = self._model.createData()
         self._geometry_data = self._geometry.createData()
-        configure_distances(self._geometry_data, [margin for _, _, margin in pairs])
+        configure_coal(self._geometry_data, [margin for _, _, margin in pairs])
         self._margins = np.array([margin for _, _, margin in pairs])
         self._q = np.zeros(robot.size)
         self._last: tuple[bytes, Motion] | None = None

@@ -22,7 +22,7 @@ from urdf_parser_py.urdf import URDF
 from construction_twin.core.errors import ConfigurationError
 from construction_twin.robot.description import RobotModel
 from construction_twin.robot.urdf import parse_urdf, read_yaml
-from construction_twin.scene.collision_bodies import RobotBodies, configure_distances, shape_contents
+from construction_twin.scene.collision_bodies import RobotBodies, configure_coal, shape_contents
 from construction_twin.validation import StrictModel
 
 #: Pair of link names.
@@ -179,8 +179,8 @@ def _open_pairs(bodies: RobotBodies, pairs: Sequence[Pair], poses: np.ndarray) -
                 parts[one.link, other.link].append(len(geometry.collisionPairs))
                 geometry.addCollisionPair(pinocchio.CollisionPair(first, second))
     data, contact, close = bodies.model.createData(), geometry.createData(), geometry.createData()
-    configure_distances(contact)
-    configure_distances(close, [NEAR] * len(close.collisionRequests))
+    configure_coal(contact)
+    configure_coal(close, [NEAR] * len(close.collisionRequests))
     always, never = dict(parts), dict(parts)
     for q in poses:
         if never and pinocchio.computeCollisions(bodies.model, data, geometry, close, q, False):

@@ -83,7 +83,7 @@ def parser(robot: str) -> argparse.ArgumentParser:
     preview.add_argument("--speed", type=_percent, default=1.0, metavar="PERCENT", help="of the plan's own speed [100]")
     add_approve(command("approve", "approve the plan under review: it starts"))
     reject = command("reject", "reject the plan under review")
-    _add_reviewer(reject)
+    _add_verdict_options(reject)
     for name, text in TRIGGERS.items():
         command(name, text)
     arm = command("arm", "arm a bare PLC, and take the responsibility for what is not checked then")
@@ -124,7 +124,7 @@ def _add_pace(command: argparse.ArgumentParser) -> None:
     command.add_argument("--duration", type=_positive, metavar="S", help="duration [as short as the speed allows]")
 
 
-def _add_reviewer(command: argparse.ArgumentParser) -> None:
+def _add_verdict_options(command: argparse.ArgumentParser) -> None:
     which = "id of the plan, or its beginning [the one under review]"
     command.add_argument("plan_id", nargs="?", default="", help=which)
     command.add_argument("--reviewer", default="", metavar="NAME", help="who decides [the user's name]")
@@ -133,7 +133,7 @@ def _add_reviewer(command: argparse.ArgumentParser) -> None:
 
 def add_approve(approve: argparse.ArgumentParser) -> None:
     """Add the options of an approval."""
-    _add_reviewer(approve)
+    _add_verdict_options(approve)
     approve.add_argument("--yes", action="store_true", help="do not ask")
     approve.add_argument("--wait", action="store_true", help="wait until the motion has ended")
     override = "although its rehearsal is required, and missing or no pass; give --reason too"

@@ -80,7 +80,7 @@ class Preview:
         self._twin = q
 
     def play(self, speed: float, loop: bool, now: float) -> str:
-        """Let the ghost play the plan under review, at 1 as fast as the plan; 0 ends the preview. ReviewError where it cannot."""
+        """Play the plan under review with the ghost, at `speed` times its own; 0 ends the preview. ReviewError where it cannot."""
         if not 0.0 <= speed < math.inf:
             raise ReviewError(f"a preview at speed {speed} was asked for; expected a positive number, or 0 to end it")
         if speed == 0.0:

@@ -40,7 +40,7 @@ class PoseVerdict:
 
 
 def judge_pose(pose: Pose, seed: Sequence[float], solver: InverseKinematics, world: CollisionWorld) -> PoseVerdict:
-    """Judge a pose from the arm's present joint values: of the nearest joint solution that is free; if none is, of the nearest."""
+    """Judge a pose by the collision-free joint solution nearest to `seed`, or by the nearest if all are in contact."""
     try:
         solutions = [solution.q for solution in solver.all(pose, seed)]
     except NotFoundError as error:

@@ -181,7 +181,7 @@ class Missing:
 
     @property
     def wait_reason(self) -> WaitReason:
-        """What that is for people."""
+        """The wait reason shown to people."""
         return _wait_reason(self.kind, self.deployment)
 
     @property
@@ -239,7 +239,7 @@ class StartUp:
 
 def first_missing(inputs: StartupInputs, deployment: Deployment) -> Missing | None:
     """Return the first thing that is not there yet, None when everything is."""
-    steps = (_twin, _gate) if deployment.arm == "none" else (_link, _twin, _armed, _gate)
+    steps = (_twin_or_scene, _gate) if deployment.arm == "none" else (_link, _twin_or_scene, _armed, _gate)
     for step in steps:
         found = step(inputs, deployment)
         if found is not None:
@@ -264,8 +264,8 @@ _Found = tuple[str, str] | None
 
 
 def _link(inputs: StartupInputs, deployment: Deployment) -> _Found:
-    word = inputs.link or ReportedState("", "")
-    state, reason = word.state, word.reason
+    report = inputs.link or ReportedState("", "")
+    state, reason = report.state, report.reason
     if not state:
         return "bridge", Sentence("no report")
     if state == "DISCONNECTED":
@@ -279,33 +279,33 @@ def _link(inputs: StartupInputs, deployment: Deployment) -> _Found:
     if state == "OTHER_ARM":
         return "other_arm", reason
     if state == "NO_CONTROLLER":
-        if word.gateway == "other_cycle" and _NOT_IN_REAL_TIME in reason:
+        if report.gateway == "other_cycle" and _NOT_IN_REAL_TIME in reason:
             return "no_clock", reason
-        real, mock = _CONTROLLER.get(word.gateway, ("controller", "controller_mock"))
+        real, mock = _CONTROLLER.get(report.gateway, ("controller", "controller_mock"))
         return real if deployment.arm == "real" else mock, reason
     return None if inputs.feedback else ("pose", reason)
 
 
-def _twin(inputs: StartupInputs, deployment: Deployment) -> _Found:
+def _twin_or_scene(inputs: StartupInputs, deployment: Deployment) -> _Found:
     if not inputs.twin:
         return "twin", ""
     return None if inputs.scene else ("scene", "")
 
 
 def _armed(inputs: StartupInputs, deployment: Deployment) -> _Found:
-    word = inputs.link or ReportedState("", "")
-    if word.state == "NEEDS_RESET":
-        return ("responsible", "") if deployment.gateway_kind == "plc" else ("reset", word.reason)
-    return ("same_pose", word.reason) if word.state == "RESYNC" else None
+    report = inputs.link or ReportedState("", "")
+    if report.state == "NEEDS_RESET":
+        return ("responsible", "") if deployment.gateway_kind == "plc" else ("reset", report.reason)
+    return ("same_pose", report.reason) if report.state == "RESYNC" else None
 
 
 def _gate(inputs: StartupInputs, deployment: Deployment) -> _Found:
     if inputs.link is not None and inputs.link.state == "MIRROR":
         return None  # the arm leads; the gate is closed on purpose
-    word = inputs.sync or ReportedState("", Sentence("no report of {node}", node="pca_monitor"))
-    if word.state != "IN_SYNC":
-        kind = "gate_reset" if word.state in ("STOPPED", "FAULT") else "gate"
-        return kind, Sentence("{state}: {reason}", state=word.state or "silent", reason=word.reason)
+    report = inputs.sync or ReportedState("", Sentence("no report of {node}", node="pca_monitor"))
+    if report.state != "IN_SYNC":
+        kind = "gate_reset" if report.state in ("STOPPED", "FAULT") else "gate"
+        return kind, Sentence("{state}: {reason}", state=report.state or "silent", reason=report.reason)
     if inputs.execution is None or inputs.execution.state == "WAITING":
         return "executor", inputs.execution.reason if inputs.execution else Sentence("no report")
     return None

@@ -261,7 +261,7 @@ class TestWayBack:
             check_way_back(plan, left)
         return str(refusal.value)
 
-    def test_back_in_one_go(self, bench):
+    def test_the_way_back_is_accepted_in_one_motion(self, bench):
         left = self.left(bench)
         check_way_back(way_back(bench), left)
 

@@ -306,7 +306,7 @@ class TestBoundary:
         bench.run_into(2)
         assert bench.tool.fired == [("vacuum", True), ("blow", False)]
 
-    def test_after_a_pause_only_those_are_armed_anew_that_have_not_fired(self, bench):
+    def test_after_a_pause_only_unfired_switches_are_armed_again(self, bench):
         two = (Switch("vacuum", True, GRIPPED, 1.0), Switch("blow", False, (), 1.0))
         bench.tool.outputs, bench.tool.jams = ("vacuum", "blow"), "blow"
         bench.run(1)

@@ -214,7 +214,7 @@ def test_a_request_may_say_how_old_it_is_but_not_that_it_comes_from_the_future(n
         plan_request(PlanToJointsRequest(asked="4.0"))
 
 
-def test_a_tool_path_comes_in_its_frame():
+def test_a_tool_path_is_converted_from_its_frame_to_the_base():
     quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     base_T_frame = Pose(np.array([1.0, 0.0, 0.0]), quarter)
     msg = CartesianWaypoint(PoseMsg(Point(0.5, 0.0, 2.0), Quaternion(0, 0, 0, 1)), True, Point(0.2, 0.1, 0.0), 0.05)

@@ -95,7 +95,7 @@ def test_a_typed_error_is_one_sentence():
     assert ended.returncode == 1 and "cannot start: nan" in ended.stderr and "Traceback" not in ended.stderr
 
 
-def test_simulated_time_is_one_sentence(monkeypatch):
+def test_simulated_time_is_refused_in_one_sentence(monkeypatch):
     monkeypatch.setenv("ROS_IP", "127.0.0.1")
     with ros_master() as uri:
         rosgraph.Master("/roslaunch", uri).setParam("/use_sim_time", True)

@@ -142,12 +142,12 @@ def test_a_goal_that_a_plan_led_to_is_told_from_another(world):
     chain, plan, menu = Chain(ROBOT), make_plan("p1"), world.menu
     begin, end = (chain.forward(plan.trajectory.positions[index]) for index in (0, -1))
     menu.goal = begin
-    menu.reached(end)
+    menu.drop_reached_goal(end)
     assert menu.goal is begin
     menu.goal = end
-    menu.reached(chain.forward(plan.trajectory.positions[-1]))
+    menu.drop_reached_goal(chain.forward(plan.trajectory.positions[-1]))
     assert menu.goal is None
-    menu.reached(end)
+    menu.drop_reached_goal(end)
     assert menu.goal is None
 
 

@@ -80,7 +80,7 @@ def test_another_scene_before_or_after_is_refused():
     put=st.sets(st.integers(0, 12), max_size=6),
     remove=st.sets(st.integers(0, 8), max_size=6),
 )
-def test_it_is_the_same_as_one_edit_after_the_other(seed, put, remove):
+def test_a_change_equals_its_edits_one_by_one(seed, put, remove):
     scene, other = clutter(seed, 9), {item.name: item for item in clutter(seed + 1, 13).objects}
     change = SceneChange(
         tuple(other[f"object{number}"] for number in sorted(put)), tuple(f"object{number}" for number in remove)

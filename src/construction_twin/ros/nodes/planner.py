@@ -69,7 +69,7 @@ class EngagedError(PlanningError):
 
 
 def plan_request(request, source: str = "request") -> PlanRequest:
-    """Return the `PlanRequest` of any service's request; PlanningError for a moment to come, or of another clock."""
+    """Return the `PlanRequest` of any service's request; PlanningError for a future moment, or one of another clock."""
     arrived = present_moment()
     asked = parse_moment(request.asked) if getattr(request, "asked", "") else arrived
     if asked.origin != arrived.origin or asked.at > arrived.at:

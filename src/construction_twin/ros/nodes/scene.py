@@ -268,7 +268,7 @@ class SceneNode:
         with self._busy:
             scene, sentence = change(self, request)
             world = self._world.with_scene(scene)
-            # kept before anybody hears of it: a node that is started anew must not forget what others plan with
+            # saved before it is published: a node that is started anew must not forget what others plan with
             self._file.save(scene)
             self._world = world
             self._edits += 1

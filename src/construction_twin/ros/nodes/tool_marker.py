@@ -123,7 +123,7 @@ class ToolMarkerMenu:
         if plan_id != self._shown[0]:
             self._shown = plan_id, time.monotonic()
 
-    def reached(self, end: Pose) -> None:
+    def drop_reached_goal(self, end: Pose) -> None:
         """Drop the goal if a motion has ended there; a goal that was dragged further meanwhile stays."""
         with self._dragging:
             if self.goal is not None and not moved(self.goal, end, REACHED):
@@ -400,7 +400,7 @@ class ToolMarkerNode:
         self._finished = execution.plan_id
         plan = self._listener.plan(execution.plan_id)
         if plan is not None:
-            self._menu.reached(self._chain.forward(plan.trajectory.positions[-1]))
+            self._menu.drop_reached_goal(self._chain.forward(plan.trajectory.positions[-1]))
 
     def _follow(self) -> None:
         try:

@@ -188,17 +188,17 @@ class VirtualRobotNode:
         """Return the state for `/diagnostics`."""
         if self._robot.pose is None:
             return Diagnosis(WARN, "waiting for the physical arm's pose")
-        said = "following the physical arm" if self._robot.mirrors else "executing"
+        activity = "following the physical arm" if self._robot.mirrors else "executing"
         if self._gazebo is not None:
             fault = self._backend.fault
-            return Diagnosis(WARN if fault else OK, fault or said)
+            return Diagnosis(WARN if fault else OK, fault or activity)
         if self._simulated is None:
-            return Diagnosis(OK, said)
+            return Diagnosis(OK, activity)
         contacts = ", ".join(f"{first} + {second}" for first, second in self._backend.contacts)
         values = {"simulated scene": self._simulated.scene, "contacts": contacts or "none"}
         touches = contacts and f"the simulated arm touches: {contacts}"
         fault = self._simulated.scene_fault or self._backend.fault or touches
-        return Diagnosis(WARN, fault, values) if fault else Diagnosis(OK, said, values)
+        return Diagnosis(WARN, fault, values) if fault else Diagnosis(OK, activity, values)
 
 
 INTERFACE = shell.Interface(

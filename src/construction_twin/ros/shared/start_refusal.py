@@ -73,7 +73,7 @@ def expect_own_parameters() -> None:
 
 
 def refuse(sentence: str, log: bool = True) -> NoReturn:
-    """Publish why this node cannot start, print it into a `log` file, and end after `RESTART_DELAY`; started by hand, at once."""
+    """End a node that cannot start: in a launch publish why, print it too (`log`), and wait `RESTART_DELAY`; else at once."""
     import rospy
 
     from construction_twin.msg import StartRefused
