@@ -17,7 +17,7 @@ from construction_twin.extensions.work.process import DEFAULT, MODULES, process_
 
 
 class TaskState(Enum):
-    """State of a task; values are the words of `WorkTask.msg`."""
+    """State of a task; values are the words of `WorkTask.msg`. `HELD`: its element is gone, it waits for a person."""
 
     WAITING = "waiting"
     READY = "ready"
@@ -31,7 +31,7 @@ class TaskState(Enum):
     DONE = "done"
     SKIPPED = "skipped"
     ASKS = "asks"
-    HELD = "held"  # its element is gone: waits for a person
+    HELD = "held"
 
 
 class TaskEvent(Enum):
