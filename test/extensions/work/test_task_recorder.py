@@ -30,7 +30,7 @@ HELD_AS = (0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 1.0)
 STANDS = (1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 1.0)
 PLAN = PlanActions("p1", grips=1, releases=3)
 #: As the work node follows it when the topic `plan` has another one by now.
-UNKNOWN_PLAN = PlanActions("p1", grips=-2, releases=-2)
+UNKNOWN_PLAN = PlanActions("p1", grips=-1, releases=-1)
 #: States of `Execution.msg`.
 IDLE, PLAYING = 1, 2
 OPEN, CLOSED, UNKNOWN = GripReading(True, False), GripReading(True, True), GripReading(False, False)
@@ -296,7 +296,7 @@ def test_of_a_plan_that_is_not_known_any_more_only_a_finish_tells_that_it_let_go
     held, empty = TaskMemory("stud", in_grip=True), TaskMemory("stud")
     assert actions_by_outcome("p1", held, FINISHED) == PlanActions("p1", -1, 0)
     assert actions_by_outcome("p1", empty, FINISHED) == PlanActions("p1", 0, 0)
-    assert actions_by_outcome("p1", held, "stopped") == PlanActions("p1", -2, -2)
+    assert actions_by_outcome("p1", held, "stopped") == PlanActions("p1", -1, -1)
 
 
 @pytest.mark.parametrize(

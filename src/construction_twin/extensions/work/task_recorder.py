@@ -65,11 +65,9 @@ def plan_actions(
 
 def actions_by_outcome(plan_id: str, memory: TaskMemory, outcome: str) -> PlanActions:
     """Return what the outcome tells of a plan with unknown segments."""
-    if memory.stays:
+    if memory.stays or outcome != FINISHED:
         return PlanActions(plan_id, -1, -1)
-    if outcome == FINISHED:
-        return PlanActions(plan_id, -1 if memory.in_grip else 0, 0)
-    return PlanActions(plan_id, -1, -1)
+    return PlanActions(plan_id, -1 if memory.in_grip else 0, 0)
 
 
 class _Events:
