@@ -272,7 +272,7 @@ class ExecutorMachine:
         if row.event is ExecutorEvent.NEXT_SEGMENT:
             segment = self._work.segment
             assert segment is not None  # it was entered
-            return Sentence("segment {number} ({name})", number=self._work.number, name=repr(segment.name))
+            return Sentence("segment {number} ({name})", number=self._work.number + 1, name=repr(segment.name))
         if row.event in (ExecutorEvent.AT_REST, ExecutorEvent.SEGMENT_END) and row.state is ExecutorState.STOPPING:
             path = distance_along(self._stopping).text(self.robot)
             return Sentence("{reason}; at rest after {path}", reason=self.cause, path=path)

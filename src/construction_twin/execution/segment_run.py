@@ -298,7 +298,7 @@ class SegmentRun:
         way_back: Whether it leads out of an engagement, which it ends when it is finished.
 
     Attributes:
-        number: Of the segment that it is in, or at the end of; -1 before the first is entered.
+        number: Of the segment that it is in, or at the end of, from 0; -1 before the first is entered. Sentences count from 1.
         at_boundary: Whether it stands at the end of that segment.
     """
 
@@ -336,8 +336,8 @@ class SegmentRun:
             return Sentence("before the first segment")
         name = repr(self.segment.name)
         if self.at_boundary:
-            return Sentence("at the end of segment {number} ({name})", number=self.number, name=name)
-        return Sentence("in segment {number} ({name})", number=self.number, name=name)
+            return Sentence("at the end of segment {number} ({name})", number=self.number + 1, name=name)
+        return Sentence("in segment {number} ({name})", number=self.number + 1, name=name)
 
     def waits_for(self) -> str:
         """Return what a boundary waits for, as a clause for the operator."""

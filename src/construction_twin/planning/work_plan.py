@@ -32,12 +32,12 @@ from construction_twin.scene.scene_change import SceneChange
 
 
 class SegmentError(PlanningError):
-    """A segment makes a work plan invalid."""
+    """A segment makes a work plan invalid; `number` from 0, in the sentence from 1."""
 
     def __init__(self, number: int, name: str, cause: ConstructionTwinError):
         self.number, self.name, self.cause = number, name, cause
         super().__init__(
-            Sentence("segment {number} ({name}): {cause}", number=number, name=repr(name[:80]), cause=str(cause))
+            Sentence("segment {number} ({name}): {cause}", number=number + 1, name=repr(name[:80]), cause=str(cause))
         )
 
 

@@ -70,7 +70,7 @@ def segments_content(trajectory_hash: str, task: str, segments: tuple[Segment, .
 def check_segments(plan_id: str, scene: str, duration: float, segments: tuple[Segment, ...]) -> None:
     """Check that segments fill a trajectory and that each begins in the scene (hash) in which the one before ended."""
     before, present = 0.0, scene
-    for number, segment in enumerate(segments):
+    for number, segment in enumerate(segments, start=1):
         if not math.isfinite(segment.end) or segment.end <= before:
             raise TrajectoryError(
                 f"plan {plan_id}, segment {number} ('{segment.name}') ends at {segment.end} s; expected after {before}"

@@ -78,7 +78,7 @@ class TestLeft:
         keeper = bench.executor.engagement
         assert keeper.engaged and (left.plan_id, left.task, left.segment) == ("w", "t1", "lift")
         assert left.holding == ((GRIPPED, LATER[0]),)
-        assert "in segment 2 ('lift') the rest is dropped" in left.reason
+        assert "in segment 3 ('lift') the rest is dropped" in left.reason
         # from the beginning of `approach`, the first of the engaged segments that follow each other
         np.testing.assert_allclose(left.path.trajectory.positions[0], pose_at(0.3), atol=1e-12)
         np.testing.assert_allclose(left.path.points()[-1], bench.twin, atol=1e-12)

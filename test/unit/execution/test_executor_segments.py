@@ -213,7 +213,7 @@ class TestBoundary:
         bench.run(150)
         assert bench.tool.fired == [("vacuum", True)] and bench.state is ExecutorState.AT_BOUNDARY
         assert set(bench.outputs[-150:]) == {tuple(at_end(bench, plan, 1))}
-        assert bench.executor.reason == "stands at the end of segment 1 ('approach'), waits for the tool"
+        assert bench.executor.reason == "stands at the end of segment 2 ('approach'), waits for the tool"
 
     def test_the_scene_is_waited_for_after_the_confirmation_only(self, bench):
         bench.edits = False
@@ -370,7 +370,7 @@ class TestInASegment:
         bench.run_until_idle()
         reason = bench.executor.reason
         assert bench.executor.outcome == "stopped" and reason.startswith("gripped reads off, not on; at rest after")
-        assert "in segment 3 ('carry') the rest is dropped" in reason and "look at arm and tool" in reason
+        assert "in segment 4 ('carry') the rest is dropped" in reason and "look at arm and tool" in reason
         assert within_acceleration(bench.outputs)
 
     @pytest.mark.parametrize("scene", ["0ther", LATER[0]])
@@ -378,7 +378,7 @@ class TestInASegment:
         bench.approve(make_work_plan())
         bench.run_into(1)
         bench.executor.on_scene(scene)
-        assert bench.state is ExecutorState.STOPPING and "which was not planned in segment 1" in bench.executor.reason
+        assert bench.state is ExecutorState.STOPPING and "which was not planned in segment 2" in bench.executor.reason
 
     @pytest.mark.parametrize("policy", ["replan", RESUME])
     def test_a_hold_of_the_gate_drops_the_rest_whatever_the_policy(self, bench, policy):
@@ -443,7 +443,7 @@ class TestPause:
         bench.run_to_end_of(1)
         bench.run(3)
         answer = bench.executor.pause(bench.stamp)
-        assert answer == "plan w rests at the end of segment 1 ('approach'); resume goes on"
+        assert answer == "plan w rests at the end of segment 2 ('approach'); resume goes on"
         bench.run(200)
         assert bench.state is ExecutorState.PAUSED and bench.tool.fired == []
         assert [order.id for order in bench.tool.orders] == ["w/1/0/1", ""]

@@ -150,7 +150,7 @@ def test_switches_that_are_not_safe_are_refused(number, changes, sentence):
     ],
 )
 def test_what_is_gripped_is_the_same_thing_in_the_same_place(change, sentence):
-    with pytest.raises(SegmentError, match=f"segment 0 .*{sentence}"):
+    with pytest.raises(SegmentError, match=f"segment 1 .*{sentence}"):
         planned(asked_with(0, change=SceneChange((dataclasses.replace(HELD, **change),))))
     near = dataclasses.replace(HELD, position=(0.0, 0.0, 0.2515))
     assert planned(asked_with(0, change=SceneChange((near,)))).segments
@@ -173,7 +173,7 @@ def test_a_contact_in_the_scene_of_one_segment_names_the_segment_and_the_pair(nu
         asked[number - 1] = dataclasses.replace(
             before, change=SceneChange((*before.change.put, WALL), before.change.remove)
         )
-    with pytest.raises(SegmentError, match=f"segment {number} .*touches wall .at") as caught:
+    with pytest.raises(SegmentError, match=f"segment {number + 1} .*touches wall .at") as caught:
         planned(asked, cell, asked[0].trajectory.positions[0])
     assert caught.value.number == number and caught.value.name == asked[number].name
     assert isinstance(caught.value.cause, CollisionError) and "wall" in caught.value.cause.between
@@ -189,7 +189,7 @@ def test_what_is_carried_is_part_of_the_arm():
     alone = [WorkSegment("go", motion(HOME, RIGHT)), WorkSegment("pass", motion(RIGHT, LEFT))]
     assert planned(alone, cell).segments[1].name == "pass"
     loaded = [dataclasses.replace(alone[0], change=SceneChange((carried,))), alone[1]]
-    with pytest.raises(SegmentError, match="segment 1 .*block touches post") as caught:
+    with pytest.raises(SegmentError, match="segment 2 .*block touches post") as caught:
         planned(loaded, cell)
     assert caught.value.cause.between == ("block", "post")
 
@@ -198,7 +198,7 @@ def test_what_the_last_change_puts_where_the_arm_stands_is_refused_too():
     chain = solver().chain
     there = SceneObject("late", "sphere", (0.3,), tuple(chain.forward(HOME).position.tolist()))
     with pytest.raises(
-        SegmentError, match=r"segment 2 \('leave'\): link_3 touches late \(at its end, after its change"
+        SegmentError, match=r"segment 3 \('leave'\): link_3 touches late \(at its end, after its change"
     ):
         planned(asked_with(2, change=SceneChange((there,))))
 
@@ -206,7 +206,7 @@ def test_what_the_last_change_puts_where_the_arm_stands_is_refused_too():
 def test_a_motion_beyond_a_limit_is_refused_with_segment_time_and_joint():
     slow = motion(RIGHT, LEFT)
     fast = Trajectory(slow.joint_names, slow.times / 4, slow.positions, slow.velocities * 4, slow.accelerations * 16)
-    with pytest.raises(SegmentError, match="segment 1 .*joint_a1 has a.*its limit is") as caught:
+    with pytest.raises(SegmentError, match="segment 2 .*joint_a1 has a.*its limit is") as caught:
         planned(asked_with(1, trajectory=fast))
     assert isinstance(caught.value.cause, LimitError)
 
@@ -214,7 +214,7 @@ def test_a_motion_beyond_a_limit_is_refused_with_segment_time_and_joint():
 @pytest.mark.parametrize("gap", [2e-9, 1e-3])
 def test_a_gap_between_segments_is_refused(gap):
     with pytest.raises(
-        SegmentError, match="^segment 2 .*it begins .* of joint_a3 away from where the segment"
+        SegmentError, match="^segment 3 .*it begins .* of joint_a3 away from where the segment"
     ) as caught:
         planned(asked_with(2, trajectory=motion(LEFT + gap * np.eye(6)[2], HOME)))
     assert isinstance(caught.value.cause, TrajectoryError)
@@ -231,7 +231,7 @@ def test_a_segment_that_is_not_at_rest_at_an_end_is_refused(row, what, quantity,
     given = motion(RIGHT, LEFT)
     moving = getattr(given, values).copy()
     moving[row, 3] = 1e-3
-    with pytest.raises(SegmentError, match=f"segment 1 .*it {what} with a {quantity} of .* of joint_a4; expected rest"):
+    with pytest.raises(SegmentError, match=f"segment 2 .*it {what} with a {quantity} of .* of joint_a4; expected rest"):
         planned(asked_with(1, trajectory=dataclasses.replace(given, **{values: moving})))
 
 
@@ -248,7 +248,7 @@ def test_a_plan_begins_exactly_where_the_arm_is():
 
 
 def test_a_plan_from_elsewhere_is_refused():
-    with pytest.raises(SegmentError, match="segment 0 .*0.055 deg of joint_a2 away from where the arm is; .* 0.05 deg"):
+    with pytest.raises(SegmentError, match="segment 1 .*0.055 deg of joint_a2 away from where the arm is; .* 0.05 deg"):
         planned(task_of(), present=HOME + math.radians(0.055) * np.eye(6)[1])
 
 
@@ -262,7 +262,7 @@ def test_an_object_to_remove_that_is_not_there_is_refused():
 
 
 def test_an_object_on_a_link_that_does_not_exist_is_refused():
-    with pytest.raises(SegmentError, match="segment 0 .*tool9"):
+    with pytest.raises(SegmentError, match="segment 1 .*tool9"):
         planned(asked_with(0, change=SceneChange((dataclasses.replace(HELD, link="tool9"),))))
 
 
@@ -285,7 +285,7 @@ def test_an_object_on_a_link_that_does_not_exist_is_refused():
     ],
 )
 def test_names_and_counts_that_make_no_sense_are_refused(changes, words):
-    with pytest.raises(SegmentError, match=f"segment 1 .*{words}"):
+    with pytest.raises(SegmentError, match=f"segment 2 .*{words}"):
         planned(asked_with(1, **changes))
 
 
@@ -304,7 +304,7 @@ def test_joints_in_another_order_are_refused():
     given = motion(RIGHT, LEFT)
     with pytest.raises(
         SegmentError,
-        match="segment 1 .*: its joints are joint_a6, .*; expected joint_a1, .* in this order",
+        match="segment 2 .*: its joints are joint_a6, .*; expected joint_a1, .* in this order",
     ):
         planned(asked_with(1, trajectory=dataclasses.replace(given, joint_names=given.joint_names[::-1])))
 
@@ -387,7 +387,7 @@ def test_the_other_arm_is_in_every_segment_s_scene():
     tool = solver().chain.forward(0.5 * (RIGHT + LEFT)).position
     arm = Obstacle("kr120_b/link_3", pinocchio.SE3(np.eye(3), tool), coal.Sphere(0.1))
     cell = world(BLOCK).with_neighbour([arm])
-    with pytest.raises(SegmentError, match="segment 1 .*kr120_b/link_3"):
+    with pytest.raises(SegmentError, match="segment 2 .*kr120_b/link_3"):
         planned(asked_with(0, change=SceneChange((), ("block",))), cell)
 
 
