@@ -95,7 +95,7 @@ def parser(robot: str) -> argparse.ArgumentParser:
     with contextlib.suppress(ExtensionAbsent):
         steps = import_extension("work.twin_arguments").add_steps
         steps(command("work", "work from a building model: its tasks, what comes next, what people say"), common)
-    save = command("save-failure", "write what failed last, a plan or a hold, as a file that can be sent and replayed")
+    save = command("save-failure", "write the last plan that failed, else the hold of now, as a file to be replayed")
     save.add_argument("file", metavar="FILE", help="the file to write, e.g. failure.json; -: standard output")
     save.add_argument("--model", metavar="FILE", help="a URDF or IFC file that is refused, in place of what runs")
     watch = command("watch", "show states, joint errors and what was late until Ctrl-C")

@@ -28,13 +28,8 @@ def lay_out(modules: Path) -> None:
 
 def asked_in(modules: Path) -> Path:
     code = "from construction_twin.core.share import share_folder; print(share_folder())"
-    done = subprocess.run(
-        [sys.executable, "-E", "-S", "-c", f"import sys; sys.path.insert(0, {str(modules)!r}); {code}"],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd="/",
-    )
+    command = [sys.executable, "-E", "-S", "-c", f"import sys; sys.path.insert(0, {str(modules)!r}); {code}"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd="/")
     return Path(done.stdout.strip())
 
 

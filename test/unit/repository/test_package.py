@@ -99,12 +99,8 @@ def test_what_an_extra_allows_is_what_the_tests_run_with(extra):
 def metadata(tmp_path_factory) -> Path:
     """The folder with what setuptools says of the package."""
     folder = tmp_path_factory.mktemp("egg")
-    subprocess.run(
-        ["/usr/bin/python3", "setup.py", "-q", "egg_info", "--egg-base", str(folder)],
-        cwd=ROOT,
-        check=True,
-        capture_output=True,
-    )
+    command = ["/usr/bin/python3", "setup.py", "-q", "egg_info", "--egg-base", str(folder)]
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
     return folder / "construction_twin.egg-info"
 
 

@@ -25,14 +25,8 @@ page_is_built = pytest.mark.skipif(not NODE.is_file(), reason="the page is not b
 @pytest.mark.parametrize("file", sorted((WEB / "test").glob("*.test.js")), ids=lambda file: file.name)
 def test_the_tests_of_the_page_pass(file):
     # by its own name: `--test` would start another node for it
-    run = subprocess.run(
-        [NODE.read_text().strip(), str(file)],
-        cwd=WEB,
-        env={**os.environ, "NO_COLOR": "1"},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+    command, env = [NODE.read_text().strip(), str(file)], {**os.environ, "NO_COLOR": "1"}
+    run = subprocess.run(command, cwd=WEB, env=env, capture_output=True, text=True, timeout=120)
     assert run.returncode == 0, run.stdout + run.stderr
     assert re.search(r"^(?:# |ℹ )pass [1-9]", run.stdout, re.MULTILINE), run.stdout
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import socket
 import subprocess
@@ -9,24 +10,28 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 import rosgraph
 import rospy
-import yaml
-from construction_twin.msg import Rehearsal
+from construction_twin.msg import PlanOutcome, Rehearsal
 from launch_files import parameters
 from ros_master import ros_master
+from sensor_msgs.msg import JointState
 
 from construction_twin.core.errors import ConfigurationError, SilenceError
+from construction_twin.core.reports import HoldReport, SyncReport
 from construction_twin.gateway.config import load_config
+from construction_twin.replay import replay
 from construction_twin.review.rehearsal_report import FAILED, RehearsalReport, with_hash
-from construction_twin.robot.urdf import expand_xacro
+from construction_twin.ros.commands import save_failure
 from construction_twin.ros.commands import twin as twin_cli
 from construction_twin.ros.commands.preflight import LaunchParameters
 from construction_twin.ros.messages.records import to_msg
 from construction_twin.ros.messages.services import Outcome
 from construction_twin.views.arguments import Exit, parser
+from construction_twin.views.texts import Snapshot
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -39,10 +44,34 @@ def connect(monkeypatch, uri: str) -> None:
     twin_cli.connect(OPTIONS)
 
 
+def twin(uri: str, *words: str) -> subprocess.CompletedProcess:
+    command, env = [sys.executable, str(ROOT / "nodes" / "twin"), *words], {**os.environ, "ROS_MASTER_URI": uri}
+    return subprocess.run(command, capture_output=True, text=True, timeout=60.0, env=env)
+
+
 def test_a_refused_model_that_is_not_there_is_one_sentence(tmp_path, capsys):
     absent = tmp_path / "absent.ifc"
     assert twin_cli.run(parser("kr120").parse_args(["save-failure", "--model", str(absent), "-"])) == Exit.USAGE
     assert capsys.readouterr().err.startswith(f"twin: {absent} is not there; ")
+
+
+def test_who_stops_reading_is_told_nothing(monkeypatch, capsys):
+    monkeypatch.setattr(twin_cli, "connect", Mock(side_effect=BrokenPipeError))
+    assert (twin_cli.run(parser("kr120").parse_args(["stop"])), capsys.readouterr().err) == (Exit.INTERRUPTED, "")
+
+
+def test_a_hold_is_saved_with_the_thresholds_that_the_gate_has_now(monkeypatch):
+    launched = LaunchParameters(parameters("bringup"), "/kr120/twin").get_param
+    monkeypatch.setattr(save_failure.rospy, "get_param", launched)
+    joints = tuple(launched("/kr120/robot")["joints"])
+    poses = (("twin/joint_states", -0.2), ("physical/joint_states", -0.4))
+    latched = {name: JointState(name=joints, position=[q] * 6) for name, q in poses}
+    client = SimpleNamespace(latched=lambda name, *_: latched.get(name, PlanOutcome(success=True)))
+    sync, hold = SyncReport("REPLANNING", "", name=joints, threshold=(0.1,) * 6), HoldReport("A1 differs", since=1)
+    now = Snapshot("kr120", joints, (False,) * 6, sync=sync, hold=hold)
+    saved = json.loads(save_failure.running_failure("/kr120", now, client))
+    assert saved["sentence"] == replay(saved) == "A1 differs by 11.459 deg, 5.730 deg allowed"
+    assert saved["state"]["hold"]["cause"] == "A1 differs"
 
 
 @pytest.mark.parametrize("uri", ["localhost:11311", "https://localhost:11311", "http://"])
@@ -64,10 +93,9 @@ def test_an_executor_that_is_down_is_told_without_waiting_for_it(monkeypatch, co
     """The time that is given for the system is an hour: it is not used."""
     monkeypatch.setenv("ROS_IP", "127.0.0.1")
     with ros_master() as uri, socket.socket() as mute:
-        parameters = rosgraph.Master("/bringup", uri)
-        description = yaml.safe_load((ROOT / "config" / "kr120.yaml").read_text())
-        parameters.setParam("/kr120/robot", description | {"name": "kr120"})
-        parameters.setParam("/kr120/robot_description", expand_xacro(ROOT / "urdf" / "kr120r2500.urdf.xacro"))
+        master, launched = rosgraph.Master("/bringup", uri), LaunchParameters(parameters("bringup"), "/kr120/twin")
+        for name in ("/kr120/robot", "/kr120/robot_description"):
+            master.setParam(name, launched.get_param(name))
         said = "no node publishes it"
         if executor == "hangs":
             mute.bind(("127.0.0.1", 0))
@@ -76,13 +104,7 @@ def test_an_executor_that_is_down_is_told_without_waiting_for_it(monkeypatch, co
             rosgraph.Master("/kr120/executor", uri).registerPublisher("/kr120/execution", "std_msgs/String", address)
         if executor != "never started":
             said = "/kr120/executor has ended, or does not answer"
-        run = subprocess.run(
-            [sys.executable, str(ROOT / "nodes" / "twin"), "--timeout", "3600", *command],
-            capture_output=True,
-            text=True,
-            timeout=60.0,
-            env={**os.environ, "ROS_MASTER_URI": uri},
-        )
+        run = twin(uri, "--timeout", "3600", *command)
     assert run.returncode == Exit.SILENT and run.stdout == ""
     assert run.stderr == f"twin: /kr120/execution: {said}; start bringup, or see why the node is down\n"
 
@@ -92,13 +114,7 @@ def test_a_command_gives_up_on_a_master_that_keeps_silent():
         mute.bind(("127.0.0.1", 0))
         mute.listen()
         uri = f"http://127.0.0.1:{mute.getsockname()[1]}"
-        run = subprocess.run(
-            [sys.executable, str(ROOT / "nodes" / "twin"), "status"],
-            capture_output=True,
-            text=True,
-            timeout=60.0,
-            env={**os.environ, "ROS_MASTER_URI": uri},
-        )
+        run = twin(uri, "status")
     assert run.returncode != 0 and run.stdout == ""
     assert run.stderr == (f"twin: {uri}: no ROS master answers (timed out); start bringup, or set ROS_MASTER_URI\n")
 

@@ -22,8 +22,7 @@ from construction_twin.views.texts import Snapshot
 
 def running_failure(namespace: str, now: Snapshot, client: OperatorClient) -> str:
     """Return the last plan that failed, else the hold of now, as JSON; RequestRefused: neither is there."""
-    reports = (now.link, now.sync, now.execution)
-    state = {name: json_value(report) for name, report in zip(("link", "sync", "execution"), reports)}
+    state = {name: json_value(getattr(now, name)) for name in ("link", "sync", "execution", "hold")}
     planner = rospy.get_param(f"{namespace}/planner")
     robot: dict[str, Any] = {
         "urdf": rospy.get_param(f"{namespace}/robot_description"),
@@ -37,7 +36,7 @@ def running_failure(namespace: str, now: Snapshot, client: OperatorClient) -> st
     if not outcome.success and outcome.request:
         settings = {name: planner[name] for name in PlannerSettings.model_fields}
         return failure("plan", outcome.message, state, robot=robot, settings=settings, **json.loads(outcome.request))
-    if now.hold is None or not now.hold.since:
+    if now.hold is None or not now.hold.since or now.sync is None:
         raise RequestRefused("nothing has failed: the last plan was made, and the gate is not held")
     joints = robot_from_parameters(f"{namespace}/").joint_names
     poses = {}
@@ -47,8 +46,9 @@ def running_failure(namespace: str, now: Snapshot, client: OperatorClient) -> st
         poses[name] = [held[joint] for joint in joints]
     monitor = rospy.get_param(f"{namespace}/pca_monitor")
     settings = {name: monitor[name] for name in GateSettings.model_fields if name in monitor}
+    # those of now, which `configure_gate` changes; the twin rests, so that they are the joints' own
+    settings["thresholds"] = {joint: value for joint, value in zip(now.sync.name, now.sync.threshold) if value > 0}
     hold = {"robot": robot, "settings": settings, "decimals": monitor["decimals"], **poses}
-    sentence = replay({"kind": "hold", **hold})
-    if sentence == AGREED:
+    if (sentence := replay({"kind": "hold", **hold})) == AGREED:
         raise RequestRefused(f"the poses do not keep the gate closed: {now.hold.cause}")
     return failure("hold", sentence, state, **hold)

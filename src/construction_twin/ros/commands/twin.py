@@ -322,12 +322,12 @@ def run(options: argparse.Namespace) -> int:
         return Command(options).run()
     except SilenceError as error:
         return _print_error(error, Exit.SILENT)
+    except (KeyboardInterrupt, BrokenPipeError):  # the second: who reads has ended, as `| head` does
+        return Exit.INTERRUPTED
     except (ConfigurationError, OSError) as error:
         return _print_error(error, Exit.USAGE)
     except ConstructionTwinError as error:
         return _print_error(error, Exit.REFUSED)
-    except KeyboardInterrupt:
-        return Exit.INTERRUPTED
 
 
 def _print_error(error: Exception, code: Exit) -> Exit:
