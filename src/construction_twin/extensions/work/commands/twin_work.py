@@ -54,7 +54,7 @@ def list_lines(work: WorkReport) -> list[str]:
         far = f"  {task.deviation_mm:.2f} mm {task.deviation_deg:.3f} deg" if math.isfinite(task.deviation_mm) else ""
         lines.append(f"{mark}{number:4} {name:{wide}} {task.state:10}{far}".rstrip())
         if task.question:
-            lines.append(f"        {task.question} Answers: {', '.join(task.answers)}")
+            lines.append(f"        {task.question}; answers: {', '.join(task.answers)}")
     return [*lines, *note_lines(work)]
 
 
@@ -105,7 +105,7 @@ class WorkCommand:
         work = self._read_work()
         found = next((task.plan_id for task in work.tasks if task.state == "planned" and task.plan_id), "")
         if not found:
-            raise RequestRefused(f"no plan of a task is under review: {work.reason}; `twin work next` has one planned")
+            raise RequestRefused(f"no task's plan waits: {work.reason}; `twin work next`, then `approve`")
         known = labels({task.element: task.element_name for task in work.tasks})
         return found, partial(with_names, known=known)
 
