@@ -124,12 +124,12 @@ def test_a_broker_by_another_name_is_not_believed(site):
 
 
 def expire(certificate: Path, key: Path, ca: Path) -> None:
-    """Sign a certificate anew, for the same key, so that it ended yesterday."""
+    """Sign a certificate anew, for the same key, so that it ends at once."""
     extensions = ("-copy_extensions", "copyall")
     request = certificate.with_name("request")
     request.write_text(run_tool("openssl", "x509", "-x509toreq", "-in", certificate, "-key", key, *extensions))
     signer = ("-CA", ca / "ca.crt", "-CAkey", ca / "ca.key", "-set_serial", "1")
-    write_private(certificate, run_tool("openssl", "x509", "-req", "-in", request, *extensions, *signer, "-days", "-1"))
+    write_private(certificate, run_tool("openssl", "x509", "-req", "-in", request, *extensions, *signer, "-days", "0"))
 
 
 def test_an_expired_broker_is_not_believed(tmp_path):
