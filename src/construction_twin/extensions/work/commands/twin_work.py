@@ -105,7 +105,7 @@ class WorkCommand:
         work = self._read_work()
         found = next((task.plan_id for task in work.tasks if task.state == "planned" and task.plan_id), "")
         if not found:
-            raise RequestRefused(f"no task's plan waits: {work.reason}; `twin work next`, then `approve`")
+            raise RequestRefused(f"no task's plan waits: {work.reason}; `twin work next`; a way back: `twin approve`")
         known = labels({task.element: task.element_name for task in work.tasks})
         return found, partial(with_names, known=known)
 
