@@ -54,6 +54,7 @@ ALONE = ("bare_plc", "experiment", "physics_twin")
 #: The launch tests of a folder; `unit`, `repository`: all of these, because testmon sees Python only; `realtime`: those at 250 Hz.
 TOUCHES = {
     "src/construction_twin/core": "realtime kill",
+    "src/construction_twin/validation.py": "realtime kill",
     "src/construction_twin/controller": "realtime kill",
     "src/construction_twin/rsi": "realtime kill",
     "src/construction_twin/gateway": "realtime kill",

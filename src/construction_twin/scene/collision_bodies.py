@@ -20,8 +20,7 @@ from construction_twin.kinematics.chain import Pose
 from construction_twin.robot.description import JointValues, RobotModel
 from construction_twin.robot.motion_errors import SceneError
 from construction_twin.robot.packages import with_mesh_files
-from construction_twin.scene.convex_pieces import surface
-from construction_twin.scene.mesh_file import parse_mesh
+from construction_twin.scene.mesh_file import parse_mesh, surface
 from construction_twin.scene.objects import Scene, SceneObject, names_text, read_mesh_file
 
 #: A closed mesh is convex when no vertex lies further outside one of its faces than this fraction of its size.

@@ -15,18 +15,8 @@ import manifold3d
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from construction_twin.scene.mesh_file import surface
 from construction_twin.scene.solids import hull_solid, mesh_of, parts, solid, union
-
-
-def surface(vertices: np.ndarray, triangles: np.ndarray) -> coal.BVHModelOBBRSS:
-    """Return triangles as a surface without an inside: vertices, shape (v, 3), and three of them for each, shape (t, 3)."""
-    mesh = coal.BVHModelOBBRSS()
-    mesh.beginModel(len(triangles), len(vertices))
-    mesh.addVertices(np.ascontiguousarray(vertices))
-    mesh.addTriangles(np.ascontiguousarray(triangles, dtype=np.int32))
-    mesh.endModel()
-    return mesh
-
 
 #: Most pieces; triangles beyond which a mesh is not divided at all: it would take more than a few seconds.
 MOST_PIECES, MOST_TRIANGLES = 64, 5000

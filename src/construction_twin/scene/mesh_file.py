@@ -5,10 +5,14 @@ from __future__ import annotations
 import io
 import re
 from collections import Counter
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from construction_twin.robot.motion_errors import SceneError
+
+if TYPE_CHECKING:
+    import coal
 
 #: Most triangles: far beyond what a collision shape needs, and still checked and built within seconds.
 MOST_TRIANGLES = 100_000
@@ -110,3 +114,15 @@ def _check(where: str, path: str, vertices: np.ndarray, triangles: np.ndarray, s
     sides = corners[:, 1:] - corners[:, :1]
     if not (np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) > _FLAT * size**2).any():
         raise SceneError(where, path, "at least one triangle with an area")
+
+
+def surface(vertices: np.ndarray, triangles: np.ndarray) -> coal.BVHModelOBBRSS:
+    """Return triangles as a surface without an inside: vertices, shape (v, 3), and three of them for each, shape (t, 3)."""
+    import coal  # loaded here: readers of files need it not  # noqa: PLC0415
+
+    mesh = coal.BVHModelOBBRSS()
+    mesh.beginModel(len(triangles), len(vertices))
+    mesh.addVertices(np.ascontiguousarray(vertices))
+    mesh.addTriangles(np.ascontiguousarray(triangles, dtype=np.int32))
+    mesh.endModel()
+    return mesh

@@ -194,7 +194,7 @@ def read_servos(path: str | Path, names: Sequence[str]) -> ServoModel:
     except (OSError, yaml.YAMLError, ValueError, RecursionError) as error:
         problem = f"YAML ({' '.join(str(error).split())})"
         raise ConfigurationError("servo_model", str(path), problem) from error
-    file = _File.read(content)
+    file = _File.read(content, "servo_model")
     if set(file.joints) != set(names):
         expected = f"those of this arm: {', '.join(names)}"
         raise ConfigurationError("servo_model", ", ".join(file.joints), expected)

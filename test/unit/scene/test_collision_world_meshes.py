@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from scene_samples import box_triangles, bracket_triangles, kr120, kr120_pairs, random_poses, write_obj, write_stl
@@ -172,3 +175,10 @@ def test_no_deep_contact_with_a_convex_mesh_is_missed(tmp_path):
     free = [q for q in random_poses(robot, 20000, seed=3) if world.is_free(q)]
     assert 100 < len(free) < 10000
     assert min(world.clearance(q).distance for q in free) > -1e-5
+
+
+def test_what_divides_meshes_is_loaded_with_the_first_of_them():
+    code = (
+        "import sys, construction_twin.scene.collision_world; sys.exit(bool({'manifold3d', 'scipy'} & {*sys.modules}))"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60.0)

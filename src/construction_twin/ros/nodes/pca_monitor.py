@@ -67,8 +67,9 @@ class Settings(NodeSettings, GateSettings):
     @pydantic.model_validator(mode="before")
     @classmethod
     def _require_every_setting(cls, given: dict) -> dict:
-        for name in GateSettings.model_fields.keys() - {"thresholds"} - given.keys():
-            raise ConfigurationError(name, None, "this key")
+        for name in GateSettings.model_fields if given.keys() <= cls.model_fields.keys() else ():
+            if name not in given and name != "thresholds":
+                raise ConfigurationError(name, None, "this key")
         return given
 
 
