@@ -74,7 +74,7 @@ def test_a_recipe_names_the_process_and_a_file_of_before_places(work):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"process": "weld"}, "recipes/probe/process: found 'weld', expected one of place, touch"),
+        ({"process": "weld"}, "recipes/probe/process: found 'weld', expected one of place.*, touch"),
         ({"process": ["touch"]}, "recipes/probe/process"),
         ({"gaps": 0.1}, "recipes/probe/gaps.*no such key; did you mean gap"),
         ({"points": []}, "recipes/probe/points"),
