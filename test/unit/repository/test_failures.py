@@ -62,10 +62,7 @@ def test_what_cannot_be_replayed_is_one_sentence(tmp_path, capsys):
         ("no JSON", "Expecting value"),
         ("[]", "cannot be replayed"),
         ('{"kind": "dream"}', "expected one of plan, hold, model"),
-        (
-            json.dumps(good | {"request": {"method": "__init__", "arguments": {"mapping": {}}}}),
-            "method: found '__init__'",
-        ),
+        (json.dumps(good | {"request": {"method": "__init__", "arguments": {}}}), "method: found '__init__'"),
         (json.dumps(good | {"scene": {"record": "Popen"}}), "record: found 'Popen'"),
     ):
         file.write_text(text)

@@ -17,6 +17,7 @@ import rosgraph
 import rospy
 from construction_twin.msg import PlanOutcome, Rehearsal
 from launch_files import parameters
+from processes import free_port
 from ros_master import ros_master
 from sensor_msgs.msg import JointState
 
@@ -53,6 +54,10 @@ def test_a_refused_model_that_is_not_there_is_one_sentence(tmp_path, capsys):
     absent = tmp_path / "absent.ifc"
     assert twin_cli.run(parser("kr120").parse_args(["save-failure", "--model", str(absent), "-"])) == Exit.USAGE
     assert capsys.readouterr().err.startswith(f"twin: {absent} is not there; ")
+    absent.with_suffix(".urdf").write_text("<robot")
+    words = ["save-failure", "--model", str(absent.with_suffix(".urdf")), str(tmp_path / "failure.json")]
+    said = f"{words[-1]}: python -m construction_twin.replay says what happens now\n"
+    assert (twin_cli.run(parser("kr120").parse_args(words)), capsys.readouterr().out) == (Exit.DONE, said)
 
 
 def test_who_stops_reading_is_told_nothing(monkeypatch, capsys):
@@ -61,17 +66,16 @@ def test_who_stops_reading_is_told_nothing(monkeypatch, capsys):
 
 
 def test_a_hold_is_saved_with_the_thresholds_that_the_gate_has_now(monkeypatch):
-    launched = LaunchParameters(parameters("bringup"), "/kr120/twin").get_param
-    monkeypatch.setattr(save_failure.rospy, "get_param", launched)
-    joints = tuple(launched("/kr120/robot")["joints"])
+    monkeypatch.setattr(rospy, "get_param", LaunchParameters(parameters("bringup"), "/kr120/twin").get_param)
+    joints = tuple(rospy.get_param("/kr120/robot")["joints"])
     poses = (("twin/joint_states", -0.2), ("physical/joint_states", -0.4))
     latched = {name: JointState(name=joints, position=[q] * 6) for name, q in poses}
     client = SimpleNamespace(latched=lambda name, *_: latched.get(name, PlanOutcome(success=True)))
-    sync, hold = SyncReport("REPLANNING", "", name=joints, threshold=(0.1,) * 6), HoldReport("A1 differs", since=1)
+    sync = SyncReport("REPLANNING", "", name=joints, threshold=(0.1,) * 6)
+    hold = HoldReport("A1 differs by 11.459 deg, 5.730 deg allowed", since=1)
     now = Snapshot("kr120", joints, (False,) * 6, sync=sync, hold=hold)
     saved = json.loads(save_failure.running_failure("/kr120", now, client))
-    assert saved["sentence"] == replay(saved) == "A1 differs by 11.459 deg, 5.730 deg allowed"
-    assert saved["state"]["hold"]["cause"] == "A1 differs"
+    assert saved["sentence"] == replay(saved) == saved["state"]["hold"]["cause"]
 
 
 @pytest.mark.parametrize("uri", ["localhost:11311", "https://localhost:11311", "http://"])
@@ -81,11 +85,8 @@ def test_an_address_that_is_none_is_named(monkeypatch, uri):
 
 
 def test_a_port_without_anybody_is_no_master(monkeypatch):
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
     with pytest.raises(SilenceError, match="no ROS master answers"):
-        connect(monkeypatch, f"http://127.0.0.1:{port}")
+        connect(monkeypatch, f"http://127.0.0.1:{free_port()}")
 
 
 @pytest.mark.parametrize("command, executor", [(["show"], "never started"), (["approve", "--yes"], "hangs")])
@@ -151,8 +152,7 @@ def test_an_override_is_of_the_result_that_was_printed_before_it_was_asked(monke
 
 
 def test_the_gateway_s_configuration_is_written_for_the_cell_pc(monkeypatch, tmp_path, capsys):
-    values = parameters("bringup")
-    monkeypatch.setattr(twin_cli.rospy, "get_param", LaunchParameters(values, "/kr120/twin").get_param)
+    monkeypatch.setattr(twin_cli.rospy, "get_param", LaunchParameters(parameters("bringup"), "/kr120/twin").get_param)
     monkeypatch.setattr(twin_cli, "OperatorClient", lambda *_: None)
     file = tmp_path / "kr120_gateway.json"
     assert twin_cli.Command(parser("kr120").parse_args(["gateway", str(file)])).run() is Exit.DONE

@@ -185,22 +185,17 @@ class Command:
         return Exit.DONE
 
     def _scene(self) -> Exit:
-        """Show the present scene."""
         silent = "the scene node does not publish", "see why it is down"
         print("\n".join(scene_lines(scene_from_msg(self._client.latched("scene", Scene, *silent)))))
         return Exit.DONE
 
     def _save_failure(self) -> Exit:
-        """Write the last plan that failed; where none did, the hold of now."""
         from construction_twin.ros.commands.save_failure import running_failure
 
         listener = self._listener()
         listener.wait(lambda: listener.newest("sync"), self._options.timeout)
         self._await_latched(listener)
-        failure = running_failure(self._namespace, listener.snapshot(), self._client)
-        if write_or_print(self._options.file, failure):
-            print(f"{self._options.file}: python -m construction_twin.replay says what happens now")
-        return Exit.DONE
+        return _write_failure(self._options.file, running_failure(self._namespace, listener.snapshot(), self._client))
 
     def _rehearsal(self) -> Exit:
         """Show what the rehearsal of the newest plan has found; the exit code is 0 if it passed."""
@@ -316,8 +311,7 @@ def run(options: argparse.Namespace) -> int:
         if getattr(options, "model", None):
             from construction_twin.replay import model_failure
 
-            write_or_print(options.file, model_failure(Path(options.model)))
-            return Exit.DONE
+            return _write_failure(options.file, model_failure(Path(options.model)))
         connect(options)
         return Command(options).run()
     except SilenceError as error:
@@ -333,6 +327,12 @@ def run(options: argparse.Namespace) -> int:
 def _print_error(error: Exception, code: Exit) -> Exit:
     print(f"twin: {command_message(error)}", file=sys.stderr)
     return code
+
+
+def _write_failure(file: str, failure: str) -> Exit:
+    if write_or_print(file, failure):
+        print(f"{file}: python -m construction_twin.replay says what happens now")
+    return Exit.DONE
 
 
 def write_or_print(file: str, text: str) -> bool:
