@@ -1,4 +1,4 @@
-"""A failure as a file, and the same again without ROS: `python -m construction_twin.replay FILE` says what happens now.
+"""A failure as a file, and the same again without ROS: `python3 -m construction_twin.replay FILE` says what happens now.
 
 One JSON object, small enough to send, written by `twin save-failure`. Keys of every kind: `kind`, `sentence` (how it ended),
 `versions`, `state` (of the running system, by topic).
@@ -225,7 +225,7 @@ def _read_model(name: str, contents: bytes) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Replay the file named on the command line; return the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m construction_twin.replay", description="Do again what failed, without ROS: what happens now?"
+        prog="python3 -m construction_twin.replay", description="Do again what failed, without ROS: what happens now?"
     )
     parser.add_argument("file", type=Path, help="JSON, as `twin save-failure` writes it")
     path = parser.parse_args(arguments).file
@@ -234,7 +234,11 @@ def main(arguments: list[str] | None = None) -> int:
         now = replay(document)
         then = document["sentence"]
     except (ConstructionTwinError, OSError, LookupError, TypeError, ValueError, zlib.error) as error:
-        shown = command_message(error) if isinstance(error, (ConstructionTwinError, OSError)) else repr(error)
+        shown = (
+            command_message(error)
+            if isinstance(error, (ConstructionTwinError, OSError))
+            else f"no JSON of twin save-failure ({error!r})"
+        )
         print(f"replay: {path} cannot be replayed: {shown}", file=sys.stderr)
         return 2
     print(f"then: {then}\nnow:  {now}")

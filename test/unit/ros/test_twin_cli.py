@@ -56,7 +56,7 @@ def test_a_refused_model_that_is_not_there_is_one_sentence(tmp_path, capsys):
     assert capsys.readouterr().err.startswith(f"twin: {absent} is not there; ")
     absent.with_suffix(".urdf").write_text("<robot")
     words = ["save-failure", "--model", str(absent.with_suffix(".urdf")), str(tmp_path / "failure.json")]
-    said = f"{words[-1]}: python -m construction_twin.replay says what happens now\n"
+    said = f"{words[-1]}: python3 -m construction_twin.replay says what happens now\n"
     assert (twin_cli.run(parser("kr120").parse_args(words)), capsys.readouterr().out) == (Exit.DONE, said)
 
 

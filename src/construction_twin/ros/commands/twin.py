@@ -331,7 +331,7 @@ def _print_error(error: Exception, code: Exit) -> Exit:
 
 def _write_failure(file: str, failure: str) -> Exit:
     if write_or_print(file, failure):
-        print(f"{file}: python -m construction_twin.replay says what happens now")
+        print(f"{file}: python3 -m construction_twin.replay says what happens now")
     return Exit.DONE
 
 
