@@ -122,7 +122,7 @@ class AppendOnlyFile:
         self.lines += 1
 
     def _check_in_place(self) -> None:
-        """Check that the file was neither removed nor replaced."""
+        """Check that the file is still the one that was opened."""
         try:
             there, here = os.stat(self.path), os.fstat(self._file)
         except OSError as error:

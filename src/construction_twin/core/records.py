@@ -31,7 +31,7 @@ OR_NULL, SECONDS = SchemaKeywords(type=["number", "null"]), SchemaKeywords(type=
 
 
 def optional_field() -> Any:
-    """Return a field, None where it is not given, that is written only where it is not None."""
+    """Return an optional field: None by default, and then left out of the JSON."""
     return field(default=None, metadata={_LEFT_OUT: True})
 
 

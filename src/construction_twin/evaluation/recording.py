@@ -71,7 +71,7 @@ class LinkSnapshot:
     reply_counts: tuple[int, ...] = ()
 
     def counter(self, name: str) -> int | float | None:
-        """Return a gateway counter, or None when it is not reported or not a number."""
+        """Return a counter that the gateway reports as a number, else None."""
         text = self.counters.get(name, "")
         try:
             return int(text) if text.lstrip("-").isdigit() else float(text)

@@ -213,7 +213,7 @@ class Approval:
                 raise
 
     def approve_automatically(self, now: int, which: AutoApproval = AutoApproval(every=True)) -> Verdict | None:
-        """Approve the waiting plan as soon as it may start; withdraw it when it may not. None: there is nothing to do yet.
+        """Approve the waiting plan as soon as it may start, or withdraw it. None: still waiting.
 
         `which` says which plans need no person. RecordError when it cannot be recorded; the plan is withdrawn.
         """

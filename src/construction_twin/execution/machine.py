@@ -58,7 +58,7 @@ class PlayRate:
             self.waits = lag >= (KEEPS_UP if self.waits else TRAILS)
 
     def set_fraction(self, fraction: float, reason: str = "") -> None:
-        """Store a limit and its reason; the path stays. ExecutionError, and no change, when it is no fraction."""
+        """Store a limit and its reason; the path stays. ExecutionError keeps the old one: not a fraction."""
         # written so that a nan does not pass
         if not 0.0 <= fraction <= 1.0:
             raise ExecutionError(
@@ -163,7 +163,7 @@ class ExecutorMachine:
             self.events.append(Verdict(WITHDRAWN, plan.id, plan.hash, EXECUTOR, reason, plan))
 
     def _on(self, event: ExecutorEvent, reason: str = "") -> None:
-        """Apply the first row of the table whose guard holds; without one nothing changes."""
+        """Apply the first row of the table whose guard holds, if any."""
         row = row_of(ROWS, self.state, event, self._holds)
         if row is None:
             return

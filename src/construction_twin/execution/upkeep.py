@@ -61,7 +61,7 @@ class ExecutionReporter:
 
     @property
     def waits(self) -> bool:
-        """Whether a person should look: no motion by itself, or no source of the limit."""
+        """Whether a person should look: the arm stands until somebody acts, or the limit's source is lost."""
         return self._limit.state in _NO_SOURCE or self._executor.state in (
             ExecutorState.WAITING,
             ExecutorState.HELD,

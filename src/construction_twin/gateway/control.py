@@ -411,7 +411,7 @@ class CommandHandler:
         return Answer(True, Sentence("gateway is {state}", state=self._gateway.state.value))
 
     def on_stop(self, stop: Intervention, now: int) -> Answer:
-        """Carry out a person's stop that came at `now` [ns]; it is never refused, and needs no session.
+        """Carry out a person's stop that came at `now` [ns], in any state and session.
 
         One that can change nothing, because the arm is stopped and the account was just answered several times, is only counted.
         """

@@ -91,7 +91,7 @@ class PlayoutRate:
 
     @property
     def steady(self) -> bool:
-        """Whether playout time runs at the controller's rate: no move and no speed limit."""
+        """Whether playout time runs at the controller's rate, neither moved nor limited."""
         return not (self.remaining or self.shift or self._limits)
 
     def record_target(self, target: Pose) -> None:

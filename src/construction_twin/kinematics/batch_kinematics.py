@@ -92,7 +92,7 @@ class BatchKinematics:
     def newton(
         self, q: np.ndarray, positions: np.ndarray, rotations: np.ndarray, steps: int, pace: np.ndarray | None = None
     ) -> np.ndarray:
-        """Move each joint vector by Newton steps onto its own target pose; neither ranges nor the remaining error are checked.
+        """Move each joint vector by Newton steps onto its own target pose; the caller checks ranges and the remaining error.
 
         Redundant arms take the smallest steps, in fractions of full speed, or of `pace`, shape (n,): 0, and the joint stays.
         """

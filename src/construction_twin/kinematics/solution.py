@@ -73,7 +73,7 @@ class UnreachableOrientationError(KinematicsError):
 
 
 class NotFoundError(KinematicsError):
-    """No joint solution was found in time: not a proof that there is none; residuals of the best attempt in range, inf: none."""
+    """No joint solution was found in time, though one may exist; residuals of the best attempt in range, inf: none."""
 
     def __init__(self, tried: int, budget_s: float, residual_m: float, residual_rad: float, hint: str = ""):
         self.tried, self.budget_s, self.hint = tried, budget_s, hint

@@ -352,7 +352,7 @@ class Bridge:
     # -- reports
 
     def reason(self, connection: str) -> str:
-        """Return the supervisor's sentence, and why there is no connection or why the arm may not move."""
+        """Return the supervisor's sentence, and what keeps the connection down or the arm still."""
         supervisor = self.supervisor
         if supervisor.state is LinkState.DISCONNECTED and connection:
             return Sentence("{state}: {reason}", state=supervisor.reason, reason=connection)

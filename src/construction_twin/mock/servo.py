@@ -82,7 +82,7 @@ class Servo(ABC):
             self._chase(joint, velocity, acceleration)
 
     def unlimit(self, joint: int, velocity: float, acceleration: float) -> None:
-        """Let a slow joint catch up with its setpoint within limits [rad/s], [rad/s^2]; no effect on one that is not slow."""
+        """Let a slow joint catch up with its setpoint within limits [rad/s], [rad/s^2]; other joints go on."""
         if self._slow.pop(joint, None) is not None and joint in self._chases:
             self._chase(joint, velocity, acceleration)
 

@@ -57,7 +57,7 @@ class Replan:
 
 @dataclass(frozen=True)
 class _PlayState:
-    """The executor's last state: whether it played that plan, with neither stop nor pause requested."""
+    """The executor's last state: whether it played that plan undisturbed by stop and pause."""
 
     plan_id: str = ""
     playing: bool = False

@@ -78,7 +78,7 @@ def shortened(path: np.ndarray, is_free: Callable[[np.ndarray, np.ndarray], bool
 
 
 def _fewer(points: np.ndarray, is_free: Callable[[np.ndarray, np.ndarray], bool]) -> np.ndarray:
-    """Return the path without the corners that need not be: each one slows the motion, however little it makes it longer."""
+    """Return the path without its avoidable corners, each of which slows the motion."""
     index = 1
     while index < len(points) - 1:
         if is_free(points[index - 1], points[index + 1]):

@@ -150,7 +150,7 @@ def _fields(record: Record, responsibility: Responsibility | None) -> dict:
 
 
 def _responsibility_fields(responsibility: Responsibility | None) -> dict:
-    """Return who is responsible for what is not checked; nothing where a gateway checks it."""
+    """Return the record's fields of who is responsible in place of a gateway's checks; {} with a gateway."""
     if responsibility is None:
         return {}
     return {"responsible": responsibility.name, "not_checked": list(responsibility.not_checked)}

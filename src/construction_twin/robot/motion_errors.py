@@ -7,7 +7,7 @@ from construction_twin.core.sentences import Quantity, Sentence
 
 
 class KinematicsError(ConstructionTwinError):
-    """A pose has no usable joint solution, or joints have no usable pose."""
+    """A pose or joint values out of what the arm can do."""
 
 
 class JointRangeError(KinematicsError):

@@ -131,7 +131,7 @@ class SensorDecoder:
         self._wanted = frozenset((*self._needed, "IPOC", *([STOP] if STOP in receive or not receive else [])))
 
     def parse(self, data: bytes) -> Reply:
-        """Read a reply; its `stop` is None where the element is not declared, or not there."""
+        """Read a reply; its `stop` is None where the element is undeclared or absent."""
         root = read_document(data, "Sen")
         if root.get("Type") != self._sentype:
             raise TelegramError(

@@ -47,7 +47,7 @@ class ToolReader:
         self._reading: ToolReading | None = None
 
     def read(self, data: bytes) -> ToolReading | None:
-        """Return a telegram's signals; None when a channel is missing, there twice, or neither 0 nor 1."""
+        """Return a telegram's signals; None unless each channel is there once, as 0 or 1."""
         texts = [find(data) for find in self._finds]
         if texts != self._texts:
             # the same for minutes

@@ -44,7 +44,7 @@ def without_declaration(data: bytes) -> bytes:
 
 
 def read_document(data: bytes, root_tag: str) -> ElementTree.Element:
-    """Return the root of a telegram; TelegramError when it is too large, not plain text, not XML, or another document."""
+    """Return the root of a telegram; TelegramError unless it is this document as XML of plain text and permitted size."""
     if not 0 < len(data) <= MAX_TELEGRAM:
         raise TelegramError("size", f"telegram of {len(data)} B; expected 1 to {MAX_TELEGRAM} B")
     # Without NUL, because "<" followed by NUL makes the parser read UTF-16, in which markup looks different from below.

@@ -131,7 +131,7 @@ class CollisionWorld:
         return world
 
     def _within_reach(self, own: tuple[Body, ...]) -> tuple[Body, ...]:
-        """Return the bodies without the standing objects that no moving body reaches at any joint values, by a bound."""
+        """Return the bodies, of standing objects those that a moving body may reach at some joint values, by a bound."""
         _, reaches = body_levers(self._robot_bodies, own, self._robot_bodies.strokes)
         paddings = [body.item.padding if body.item is not None else 0.0 for body in own]
         farthest = max((reach for body, reach in zip(own, reaches) if body.joint), default=0.0)
@@ -175,7 +175,7 @@ class CollisionWorld:
         return per_body.max(axis=1, initial=0.0)[robot.order]
 
     def is_free(self, q: JointValues) -> bool:
-        """Return whether nothing touches; `q` is not checked against the ranges. The fastest check: it ends at the first one."""
+        """Return whether `q`, of any range, is free of contact: the fastest check, it ends at the first one."""
         return self._checks.is_free(q)
 
     def contact(self, q: JointValues) -> Contact | None:

@@ -195,7 +195,7 @@ def _near(one: np.ndarray, other: np.ndarray) -> bool:
 
 
 def _covered(body: manifold3d.Manifold, aim: float) -> list[_Part]:
-    """Cut a body until no hull of a part reaches further beyond it than `aim` [m], or no plane helps within `MOST_PIECES`."""
+    """Cut a body by helpful planes into at most `MOST_PIECES`, until the hulls of its parts reach at most `aim` beyond it [m]."""
     done: list[_Part] = []
     left = [_Part(one) for one in _bodies(body)]
     while left:

@@ -25,7 +25,7 @@ def solid(vertices: np.ndarray, triangles: np.ndarray) -> manifold3d.Manifold | 
 
 
 def welded(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices and triangles with equal corners as one, and without triangles that have no area left."""
+    """Return vertices and triangles with equal corners merged, without triangles of zero area."""
     size = max(float(np.ptp(vertices, axis=0).max()), 1e-9)
     _, first, merged = np.unique(
         np.round(vertices / (size * _WELD)).astype(np.int64), axis=0, return_index=True, return_inverse=True

@@ -124,7 +124,7 @@ class WorkStates:
     problem: str = ""
 
     def loads(self, number: int) -> tuple[SceneObject, ...]:
-        """Return what the arm carries in a segment, but not during all of the plan: the element, not the tool."""
+        """Return what the arm carries in segment `number` but not in all of them: the element, not the tool."""
         always = set.intersection(*({item.name for item in held} for held in self.carried))
         return tuple(item for item in self.carried[number] if item.name not in always)
 

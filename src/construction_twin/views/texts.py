@@ -39,7 +39,7 @@ class Snapshot:
     silent: Mapping[str, float] = field(default_factory=dict)
 
     def not_ready(self) -> list[str]:
-        """Return why no plan could be approved now, one sentence per reason; a system without an arm needs no link."""
+        """Return what keeps a plan from approval now, one sentence per reason; a twin alone needs no link."""
         lacking: list[str] = []
         for name, wanted in READY.items():
             facts = getattr(self, name)

@@ -220,7 +220,7 @@ async def read_connack(reader: asyncio.StreamReader) -> bytes:
 
 
 def has_no_account(connect: bytes) -> bool:
-    """Return whether the first bytes of a client are a CONNECT with neither user name nor password (MQTT 5.0, section 3.1.2)."""
+    """Return whether the first bytes of a client are an anonymous CONNECT (MQTT 5.0, section 3.1.2)."""
     # name of the protocol, version, flags; what stands before the name is too short to hold it
     name = connect.find(b"\0\4MQTT")
     return name >= 0 and len(connect) > name + 7 and not connect[name + 7] & 0xC0

@@ -124,7 +124,7 @@ def settings_of(arguments: argparse.Namespace) -> ServerSettings:
 
 
 def _own_tls(certificate: Path, key: Path) -> ssl.SSLContext:
-    """Return the TLS of the console itself; ConfigurationError when the files are no PEM, or do not fit each other."""
+    """Return the TLS of the console itself; ConfigurationError unless the files are PEM and fit each other."""
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     try:
         # a key with a passphrase is refused: there is no terminal to type it

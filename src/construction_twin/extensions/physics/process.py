@@ -95,7 +95,7 @@ def digest(*parts: object) -> str:
 
 
 def file_digest(path: str) -> str:
-    """Return the SHA-256 of a file; of no path nothing."""
+    """Return the SHA-256 of a file; "" for an empty path."""
     return hashlib.sha256(Path(path).read_bytes()).hexdigest() if path else ""
 
 

@@ -366,7 +366,7 @@ class _Run:
         return next((scene for scene, end in self._parts if time < end), self._parts[-1][0])
 
     def _recorder(self, scene: Scene, physics: PhysicsModel) -> GripLoadRecorder | None:
-        """Return the recorder of the cups' load in a scene; None: no load, or no cups."""
+        """Return the recorder of the cups' load in a scene; None without load or cups."""
         of = self._rehearsal
         tip = of.bodies.robot.tip_link
         carried = [item for item in scene.objects if item.link == tip and body_of(item.name) != TOOL]

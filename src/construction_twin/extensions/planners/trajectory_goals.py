@@ -345,7 +345,7 @@ class TrajectoryGoals:
             self._on(GoalEvent.ENDED, now, report.reason)
 
     def _on(self, event: GoalEvent, now: int, reason: str = "") -> None:
-        """Apply the first row of the table whose guard is true; without one nothing changes."""
+        """Apply the first row of the table whose guard is true, if any."""
         row = row_of(ROWS, self.state, event, lambda _busy: self._report.state in ACTIVE)
         if row is None:
             return

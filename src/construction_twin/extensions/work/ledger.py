@@ -41,7 +41,7 @@ _FREED, _BLOCKED = Entry(TaskEvent.FREED.value), Entry(TaskEvent.BLOCKED.value)
 
 
 class LedgerError(WorkError):
-    """The ledger cannot be written or read; nothing is done without it."""
+    """The ledger cannot be written or read, which stops the work."""
 
     def __init__(self, path: str, problem: str):
         super().__init__(f"{path}: {problem}")
@@ -116,7 +116,7 @@ class TaskStates:
 
     @property
     def open(self) -> tuple[str, ...]:
-        """The tasks of the schedule that are neither done nor skipped."""
+        """The tasks of the schedule that are still open."""
         return tuple(name for name in self.predecessors if self.tasks[name].state not in SETTLED)
 
     @property
@@ -125,7 +125,7 @@ class TaskStates:
         return tuple(name for name in self.in_state(TaskState.ASKS) if name in self.predecessors or name in self.former)
 
     def missing(self, task: str) -> tuple[str, ...]:
-        """Return the predecessors that are neither done nor skipped."""
+        """Return the predecessors that are still open."""
         return _missing(self.predecessors, self.tasks, task)
 
     def followers(self, task: str) -> tuple[str, ...]:

@@ -348,7 +348,7 @@ class TaskMemory:
         return None
 
     def possible_answers(self) -> tuple[str, ...]:
-        """Return what can be answered now: nothing is placed that was never held."""
+        """Return what can be answered now: `placed` only of what was held."""
         if self.state is not TaskState.ASKS:
             return ()
         if self.stays:

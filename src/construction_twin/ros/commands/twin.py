@@ -294,7 +294,7 @@ class Command:
 
 
 def connect(options: argparse.Namespace) -> None:
-    """Register as a node; SilenceError if there is no master, or no robot of this name."""
+    """Register as a node; SilenceError unless a master with a robot of this name answers."""
     await_master(options.timeout)
     rospy.init_node("twin", anonymous=True, disable_signals=True)
     namespace = "/" + options.robot.strip("/")
@@ -375,7 +375,7 @@ def account_name() -> str:
 
 
 def _confirmed() -> bool:
-    """Ask at the terminal; without a terminal the answer is no."""
+    """Ask at the terminal, False if there is none."""
     if not sys.stdin.isatty():
         print("twin: there is no terminal to ask on; look at the plan, then give --yes", file=sys.stderr)
         return False

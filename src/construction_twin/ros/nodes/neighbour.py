@@ -105,7 +105,7 @@ class ArmListener:
             Subscriber(f"{self._space}/{topic}", kind, callback, refused, queue_size=10)
 
     def claim(self) -> Claim | None:
-        """Return the claim of the plan under way; None: no plan. NeighbourUnknownError if that is not known."""
+        """Return the claim of the plan under way, if any; NeighbourUnknownError while that is unknown."""
         last = self._execution
         if last is None:
             raise NeighbourUnknownError(self.robot.name, Sentence("its executor has said nothing yet"))

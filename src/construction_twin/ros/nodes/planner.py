@@ -138,7 +138,7 @@ class PlannerNode:
         self._requests = PlanRequests(self._await_surroundings, self._publish)
 
     def _await_surroundings(self) -> None:
-        """Wait for a scene whose publisher is connected: without it, the present surroundings of the arm are not known."""
+        """Wait for a scene whose publisher is connected: an older one may miss the arm's present surroundings."""
         scene = self._pipeline.scene
         if not self._connections():
             self._pipeline.forget_scene(scene)

@@ -58,7 +58,7 @@ _RETRY = NANOSECONDS
 
 
 class SavedParameter:
-    """A text, "" for nothing, or a bool on the parameter server, written by a thread that may wait; `fault`: why it was not."""
+    """A text or bool on the parameter server, written by a thread that may wait; `fault`: why writing failed."""
 
     def __init__(self, value: object, write: Callable[[Any], object], name: str):
         self.fault = ""

@@ -192,7 +192,7 @@ class _Builder:
             link.append(element)
 
     def _may_touch(self, one: Body) -> bool:
-        """Return whether an object may touch something: Gazebo knows no exceptions pair by pair, so it then touches nothing."""
+        """Return whether an object may touch something: Gazebo, which excepts bodies alone, then leaves out all its contacts."""
         return bool(one.item and one.item.touch) or any(
             one.owner in item.touch for item in self._scene.objects if item.name != one.owner
         )
