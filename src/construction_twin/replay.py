@@ -231,18 +231,16 @@ def main(arguments: list[str] | None = None) -> int:
     path = parser.parse_args(arguments).file
     try:
         document = json.loads(read_file(path, MOST_BYTES))
-        now = replay(document)
-        then = document["sentence"]
-    except (ConstructionTwinError, OSError, LookupError, TypeError, ValueError, zlib.error) as error:
-        shown = (
-            command_message(error)
-            if isinstance(error, (ConstructionTwinError, OSError))
-            else f"no JSON of twin save-failure ({error!r})"
-        )
-        print(f"replay: {path} cannot be replayed: {shown}", file=sys.stderr)
-        return 2
-    print(f"then: {then}\nnow:  {now}")
-    return 0 if now == then else 1
+        now, then = replay(document), document["sentence"]
+    except (ConstructionTwinError, OSError) as error:
+        problem = command_message(error)
+    except (LookupError, TypeError, ValueError, zlib.error) as error:
+        problem = f"no JSON of twin save-failure ({error!r})"
+    else:
+        print(f"then: {then}\nnow:  {now}")
+        return 0 if now == then else 1
+    print(f"replay: {path} cannot be replayed: {problem}", file=sys.stderr)
+    return 2
 
 
 if __name__ == "__main__":

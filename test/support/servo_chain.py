@@ -22,7 +22,7 @@ from construction_twin.extensions.physics.identification import IdentifiedJoint,
 from construction_twin.extensions.physics.mass import payload_of
 from construction_twin.extensions.physics.mock_servo import PhysicsServo, Plant, bare_model
 from construction_twin.mock.faults import Fault
-from construction_twin.mock.program import MockSettings, axis_angles, build_controller, joint_angles
+from construction_twin.mock.program import MockSettings, build_controller
 from construction_twin.mock.servo import RealisticServo, Servo
 from construction_twin.monitor.states import SyncState, Transition
 from construction_twin.robot.plan import Plan
@@ -169,13 +169,7 @@ class ForeignPlant(Plant):
 
 def servo_of(plant: ForeignPlant) -> Servo:
     """Return the axes of the mock that such an arm is moved by."""
-    return PhysicsServo(
-        plant,
-        lambda q: axis_angles(ROBOT, tuple(q)),
-        lambda angles: joint_angles(ROBOT, tuple(angles)),
-        [axis.sign for axis in ROBOT.axes],
-        math.radians(3e-5),
-    )
+    return PhysicsServo(plant, ROBOT, math.radians(3e-5))
 
 
 class Work:

@@ -49,7 +49,7 @@ class ArmIdentity:
         Args:
             explains: False: no cause is looked for, which takes some ms.
         """
-        q = tuple(axis.sign * (value - axis.offset) for axis, value in zip(self._robot.axes, axes))
+        q = self._robot.from_axes(axes)
         reported = frame_of(pose)
         distance, angle = _difference(self._predict(q), reported)
         if distance <= self._distance and angle <= self._angle:

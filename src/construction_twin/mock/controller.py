@@ -78,7 +78,7 @@ class ReplyRefusals:
 
 
 class MockController:
-    """One mock controller; see the module for what it does and when.
+    """One mock controller: a method for each thing that replies, people and faults do to it; the module says when.
 
     Attributes:
         running: False when the session has stopped, for `reason`; then nothing is sent and nothing is accepted.

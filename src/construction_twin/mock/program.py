@@ -85,8 +85,7 @@ class MockSettings(StrictModel):
 def build_controller(settings: MockSettings, robot: RobotModel) -> MockController:
     """Build the controller of `robot` as `settings` say."""
     axes = tuple(axis.name for axis in robot.axes)
-    ends = zip(axis_angles(robot, robot.lower), axis_angles(robot, robot.upper))
-    lower, upper = zip(*(sorted(pair) for pair in ends))
+    lower, upper = zip(*robot.axis_ranges)
     e1 = settings.e1_sign, settings.e1_offset, settings.e1_feedback_scale, settings.e1_correction_scale
 
     def listed(name: str) -> tuple[float, ...] | None:
@@ -97,7 +96,7 @@ def build_controller(settings: MockSettings, robot: RobotModel) -> MockControlle
 
     config = MockConfig(
         axes=axes,
-        start_pose=listed("start_pose_deg") or axis_angles(robot, robot.home),
+        start_pose=listed("start_pose_deg") or robot.to_axes(robot.home),
         lower=lower,
         upper=upper,
         velocity=robot.velocity,
@@ -161,7 +160,7 @@ def build_forward_kinematics(robot: RobotModel, another: AnotherArm = AnotherArm
     tool, base = pendant_frame(another.tool), pendant_frame(another.base).Inverse()
 
     def forward(angles: tuple[float, ...]):
-        frame = base * chain.frame(joint_angles(robot, angles)) * tool
+        frame = base * chain.frame(robot.from_axes(angles)) * tool
         return (frame[0, 3], frame[1, 3], frame[2, 3]), rotation_to_abc(frame)
 
     return forward
@@ -183,16 +182,6 @@ def _another_robot(robot: RobotModel, another: AnotherArm) -> RobotModel:
         xyz[largest] += math.copysign(longer / 1e3, xyz[largest])
         origin.set("xyz", " ".join(map(str, xyz)))
     return replace(robot, axes=axes, urdf=ElementTree.tostring(urdf, "unicode"))
-
-
-def joint_angles(robot: RobotModel, angles: tuple[float, ...]) -> tuple[float, ...]:
-    """Convert axis angles of the controller to joint angles of the robot [rad]."""
-    return tuple(axis.sign * (value - axis.offset) for axis, value in zip(robot.axes, angles))
-
-
-def axis_angles(robot: RobotModel, q: tuple[float, ...]) -> tuple[float, ...]:
-    """Convert joint angles of the robot to axis angles of the controller [rad], [m]."""
-    return tuple(axis.sign * value + axis.offset for axis, value in zip(robot.axes, q))
 
 
 def parse_arguments(argv: list[str]) -> argparse.Namespace:

@@ -108,6 +108,19 @@ class RobotModel:
     other_joints: tuple[OtherJoint, ...] = ()
     estimates: tuple[str, ...] = ()
 
+    @property
+    def axis_ranges(self) -> list[list[float]]:
+        """Lower and upper end of each of the controller's axes [rad], [m]."""
+        return [sorted(ends) for ends in zip(self.to_axes(self.lower), self.to_axes(self.upper))]
+
+    def to_axes(self, q: Sequence[float]) -> tuple[float, ...]:
+        """Convert joint values to positions of the controller's axes [rad], [m]."""
+        return tuple(axis.sign * value + axis.offset for axis, value in zip(self.axes, q))
+
+    def from_axes(self, positions: Sequence[float]) -> tuple[float, ...]:
+        """Convert positions of the controller's axes to joint values [rad], [m]."""
+        return tuple(axis.sign * (value - axis.offset) for axis, value in zip(self.axes, positions))
+
     def check_range(self, q: JointValues, beyond: tuple[float, float] = (0.0, 0.0)) -> None:
         """Raise JointRangeError for the first joint outside its range by more than `beyond` [rad], [m], or nan."""
         if len(q) != len(self.joint_names):

@@ -32,7 +32,7 @@ from construction_twin.extensions.physics.rehearsal import Rehearsal
 from construction_twin.gateway.states import State
 from construction_twin.gateway.trace import TraceEntry
 from construction_twin.mock.faults import KINDS, Fault
-from construction_twin.mock.program import MockSettings, axis_angles, build_controller, joint_angles
+from construction_twin.mock.program import MockSettings, build_controller
 from construction_twin.monitor.settings import GateSettings
 from construction_twin.mqtt.messages import Control
 from construction_twin.planning.timing import time_path
@@ -234,7 +234,7 @@ class ScenarioRun:
         if kind.shift and axis is not None:
             values = tuple(axis.sign * value for value in values)
         elif not kind.lasting and len(values) == len(ROBOT.axes):
-            values = axis_angles(ROBOT, values)
+            values = ROBOT.to_axes(values)
         fault = Fault(injection.fault, axis.name if axis else "", values, injection.direction, injection.duration)
         faults = self.chain.faults
         self._request(lambda: faults.end(fault) if injection.end else faults.inject(fault))
@@ -314,7 +314,7 @@ class ScenarioRun:
         """What the mock would publish in a cycle."""
         chain, controller = self.chain, self.chain.controller
         now = chain.now
-        true = joint_angles(ROBOT, controller.true_position)
+        true = ROBOT.from_axes(controller.true_position)
         self._arm.append((now, true))
         self._rest.update(now / NANOSECONDS, true)
         if controller.counters["missed"] != self._missed:

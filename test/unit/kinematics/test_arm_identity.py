@@ -10,7 +10,7 @@ from chain_samples import ROBOT
 from construction_twin.core.units import radians
 from construction_twin.kinematics.arm_identity import ArmIdentity
 from construction_twin.kinematics.chain import pendant_frame
-from construction_twin.mock.program import AnotherArm, axis_angles, build_forward_kinematics
+from construction_twin.mock.program import AnotherArm, build_forward_kinematics
 
 NOTHING = (0.0,) * 6
 TOOL, BASE = (12.5, -40.0, 310.0, 30.0, 0.0, 90.0), (1500.0, -200.0, 250.0, 45.0, 0.0, 0.0)
@@ -28,14 +28,14 @@ def identity(tool=NOTHING, base=NOTHING) -> ArmIdentity:
 
 
 def reported(q, **another):
-    position, angles = build_forward_kinematics(ROBOT, AnotherArm(**another))(axis_angles(ROBOT, q))
+    position, angles = build_forward_kinematics(ROBOT, AnotherArm(**another))(ROBOT.to_axes(q))
     return (*position, *angles)
 
 
 def named(arm: ArmIdentity, poses, **another) -> str:
     """The cause after so many poses of another arm, without its figures."""
     for q in poses:
-        *_, problem = arm.compare(axis_angles(ROBOT, q), reported(q, **another))
+        *_, problem = arm.compare(ROBOT.to_axes(q), reported(q, **another))
     return problem.partition("): ")[2]
 
 
@@ -49,7 +49,7 @@ def test_the_poses_of_the_fact_sheet_are_the_model_s_arm(axes, pose):
 def test_the_tool_and_base_that_are_expected_are_taken_into_account():
     arm = identity(TOOL, BASE)
     for q in POSES:
-        compared = arm.compare(axis_angles(ROBOT, q), reported(q, tool=TOOL, base=BASE))
+        compared = arm.compare(ROBOT.to_axes(q), reported(q, tool=TOOL, base=BASE))
         assert compared == (pytest.approx(0.0, abs=1e-9), pytest.approx(0.0, abs=1e-9), "")
 
 
@@ -74,7 +74,7 @@ def test_what_is_wrong_is_named_after_two_poses(another, cause):
 def test_an_offset_is_named_in_degrees_with_its_sign():
     q = POSES[1]
     moved = (*q[:2], q[2] - math.radians(2.0), *q[3:])
-    *_, problem = identity().compare(axis_angles(ROBOT, q), reported(moved))
+    *_, problem = identity().compare(ROBOT.to_axes(q), reported(moved))
     assert "axis A3 has another zero (`offset_deg` in the robot YAML: 2.00 deg more)" in problem
 
 

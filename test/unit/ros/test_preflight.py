@@ -209,6 +209,7 @@ def test_an_action_without_its_messages_is_refused_with_what_to_do(monkeypatch):
         ("pca_monitor", {"transition_file": "/dev/null/{robot}.jsonl"}, "expected a folder that files can be written into"),
         ("pca_monitor", {"threshold": -1.0}, "threshold: found -1.0, expected greater than 0"),
         ("pca_monitor", {"threshold": None}, "threshold: found nothing, expected this key"),
+        ("pca_monitor", {"treshold": 0.01, "threshold": None}, "treshold: found 0.01, expected no such key; did you mean"),
         ("pca_monitor", {"thresholds": {"joint_a7": 0.1}}, "thresholds: found 'joint_a7', expected names of joints"),
         ("planner", {"planner": "RTRConnect"}, "planner: found 'RTRConnect', expected one of "),
         ("gateway", {"silence": -1.0}, "silence"),

@@ -157,7 +157,7 @@ _FAILURES = {
 
 
 class TrajectoryGoals:
-    """The goals of all clients; `plan` is of the goal that has the arm."""
+    """The goals of all clients; `plan` is of the goal that has the arm. A method for each input, and for each action of `ROWS`."""
 
     def __init__(self, robot: RobotModel, reviewed_by: str):
         self._robot = robot

@@ -49,7 +49,7 @@ WATCH_PERIOD = 0.25
 
 
 class Command:
-    """One call of the command line."""
+    """One call of the command line: a method for each command, and what several need."""
 
     def __init__(self, options: argparse.Namespace):
         self._options = options

@@ -69,7 +69,7 @@ def _run_unguarded(_what: str, part: Callable[..., _Result], *arguments: object)
 
 
 class ExecutorNode:
-    """ROS around an `Executor`, used under one lock."""
+    """ROS around an `Executor`, used under one lock: a method for each topic and service."""
 
     def __init__(self, settings: Settings, robot: RobotModel, node_io: shell.NodeIO):
         self._node_io, self._diagnostics = node_io, node_io.diagnostics

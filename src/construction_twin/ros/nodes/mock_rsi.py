@@ -18,7 +18,7 @@ from construction_twin.core.errors import ConfigurationError, RequestRefused
 from construction_twin.core.units import to_wire
 from construction_twin.mock.faults import KINDS, Fault
 from construction_twin.mock.network import MockRsi
-from construction_twin.mock.program import MockSettings, axis_angles, build_controller, gateway_address, joint_angles
+from construction_twin.mock.program import MockSettings, build_controller, gateway_address
 from construction_twin.robot.description import RobotModel
 from construction_twin.ros.messages.services import Outcome
 from construction_twin.ros.shared import node_shell as shell
@@ -119,7 +119,7 @@ class MockRsiNode:
 
     def _publish(self) -> None:
         for stamp, angles, status in iter(self._outbox.get, None):
-            self._joints.publish(stamp, joint_angles(self._robot, angles))
+            self._joints.publish(stamp, self._robot.from_axes(angles))
             if status is not None:
                 self._status.publish(json.dumps(status))
 
@@ -158,7 +158,7 @@ class MockRsiNode:
         if kind is not None and kind.shift and axis is not None:
             values = tuple(axis.sign * value for value in values)
         elif kind is not None and not kind.lasting and len(values) == len(axes):
-            values = axis_angles(self._robot, values)
+            values = self._robot.to_axes(values)
         return Fault(request.fault, axis.name if axis else "", values, request.direction, request.duration)
 
     def _ask(self, action: Callable[[], str]) -> str:

@@ -70,7 +70,7 @@ class Settings(MqttSettings):
 
 
 class MqttBridge:
-    """ROS and MQTT around a `Bridge`, which `_lock` guards: nothing is sent while it is held. Its times are monotonic."""
+    """ROS and MQTT around a `Bridge`, whose `_lock` is never held while sending: a method for each topic and service."""
 
     def __init__(
         self,

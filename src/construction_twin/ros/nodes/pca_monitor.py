@@ -67,9 +67,10 @@ class Settings(NodeSettings, GateSettings):
     @pydantic.model_validator(mode="before")
     @classmethod
     def _require_every_setting(cls, given: dict) -> dict:
-        for name in GateSettings.model_fields if given.keys() <= cls.model_fields.keys() else ():
-            if name not in given and name != "thresholds":
-                raise ConfigurationError(name, None, "this key")
+        missing = [name for name in GateSettings.model_fields if name not in given and name != "thresholds"]
+        # a mistyped key has its own sentence
+        if missing and given.keys() <= cls.model_fields.keys():
+            raise ConfigurationError(missing[0], None, "this key")
         return given
 
 

@@ -63,16 +63,13 @@ def gateway_config(robot: RobotModel, settings: Mapping) -> GatewayConfig:
     if type(timeout) is not int or timeout < 1:
         expected = f"a whole number of cycles, 1 or more, as {make.terms.timeout}"
         raise ConfigurationError("timeout", timeout, expected)
-    ends = [
-        sorted((axis.sign * low + axis.offset, axis.sign * high + axis.offset))
-        for axis, low, high in zip(robot.axes, robot.lower, robot.upper)
-    ]
+    lower, upper = zip(*robot.axis_ranges)
     try:
         config = GatewayConfig(
             robot=robot.name,
             axes=axes,
-            lower=tuple(low for low, _ in ends),
-            upper=tuple(high for _, high in ends),
+            lower=lower,
+            upper=upper,
             velocity=robot.velocity,
             acceleration=robot.acceleration,
             linear=tuple(axis.name for axis, linear in zip(robot.axes, robot.linear) if linear),
