@@ -70,7 +70,7 @@ class Settings(MqttSettings):
 
 
 class MqttBridge:
-    """ROS and MQTT around a `Bridge`, whose `_lock` is never held while sending: a method for each topic and service."""
+    """ROS and MQTT around a `Bridge`, guarded by a lock that is never held while sending: a method for each topic and service."""
 
     def __init__(
         self,
