@@ -72,8 +72,9 @@ class Launch(pytest.Item):
                 said = (part.text or "").replace("<![CDATA[", "").replace("]]>", "").splitlines()
                 print("\n".join(f"  {line}" for line in said if line.strip()))
         if failures or run.returncode or not passed:
-            said = "\n".join(failures) or f"{passed} passed"
-            raise LaunchFailure(f"{output[-20000:]}\nexit code {run.returncode}: {said}")
+            print(output[-20000:])
+            said = "; ".join(failures) or f"{passed} passed"
+            raise LaunchFailure(f"exit code {run.returncode}: {said}")
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo) -> str:
         """Return what failed, without the lines of this file."""

@@ -14,6 +14,7 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
+from construction_twin.core.clock import Clock
 from construction_twin.core.sentences import Sentence
 from construction_twin.planning.motion_validator import MotionValidator
 from construction_twin.planning.request_limits import distinct
@@ -141,16 +142,16 @@ class _OmplValidator(ob.MotionValidator):
 class OmplSearch:
     """One of OMPL's planners, by its name: finds a path, and shortens it.
 
-    Those of the PRM family are given the first goal only: they add goals from a thread of their own, which a check in Python blocks
-    for ever.
+    Those of the PRM family are given the first goal only, and run on OMPL's clock: they add goals and look at the time in a thread
+    of their own, which Python blocks for ever.
     """
 
-    def __init__(self, name: str):
-        self.name = name
+    def __init__(self, name: str, clock: Clock):
+        self.name, self._clock = name, clock
         self._kind = ompl_planners()[name]
 
     def find(self, query: PathQuery, budget: float) -> np.ndarray:
-        """Find a path from the start to one of the goals, shape (m, n), or raise NoPathError after a budget on OMPL's clock [s].
+        """Find a path from the start to one of the goals, shape (m, n), or raise NoPathError after a budget [s].
 
         Neighbouring points differ, both ends are exact, and `query.validator` finds each edge free.
         """
@@ -168,12 +169,15 @@ class OmplSearch:
         ou.noOutputHandler()
         ou.RNG.setSeed(query.seed)
         information = _space_information(query, validator)
-        goals = query.goals[:1] if issubclass(self._kind, og.PRM) else query.goals
+        end, goals = self._clock() + budget, query.goals
+        condition = ob.PlannerTerminationCondition(lambda: self._clock() >= end)
+        if issubclass(self._kind, og.PRM):
+            goals, condition = goals[:1], ob.timedPlannerTerminationCondition(budget)
         problem = _problem_definition(information, query.start, goals)
         search = self._kind(information)
         search.setProblemDefinition(problem)
         search.setup()
-        search.solve(ob.timedPlannerTerminationCondition(budget))
+        search.solve(condition)
         if not problem.hasExactSolution():
             raise NoPathError(self.name, budget)
         joints = range(len(query.start))

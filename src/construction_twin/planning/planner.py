@@ -124,8 +124,7 @@ class PlanRequest:
 class Planner:
     """Plans joint motions of one robot; not for use from several threads at once.
 
-    Searches run on OMPL's own clock. With a planner that ends with the first path found, the same request in the same world gives
-    the same plan.
+    With a planner that ends with the first path found, the same request in the same world gives the same plan.
     """
 
     def __init__(
@@ -139,7 +138,7 @@ class Planner:
         self._solver = solver
         self._settings = settings
         self._clock = clock
-        self._search = OmplSearch(settings.planner)
+        self._search = OmplSearch(settings.planner, clock)
 
     def plan_to_joints(
         self, start: JointValues, goal: JointValues, request: PlanRequest, world: CollisionWorld

@@ -15,6 +15,8 @@ from construction_twin.core.follower import Follower
 from construction_twin.core.units import CYCLE
 from construction_twin.gateway.states import State
 
+pytestmark = pytest.mark.realtime
+
 
 class Unexpected(Exception):
     """What no handler of the package names."""
@@ -87,6 +89,7 @@ def test_the_arm_brakes_is_held_and_a_person_is_asked_for(part, broker, topics, 
     ):
         assert client.arm(PATIENT)["ok"]
         stream(client, controller, (motion(k) for k in range(80)))
+        assert service.gateway.state is State.FOLLOWING
         owner, name = PARTS[part](service)
         begin = len(controller.replies)
         fault = broken_once(getattr(owner, name)) if part == "reply's socket" else broken

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 
 import numpy as np
@@ -132,7 +133,7 @@ def test_a_path_that_touches_by_itself_is_given_up():
 def test_a_path_begins_at_the_start_and_ends_at_one_of_the_goals():
     edges = MotionValidator(world(WALL), LEVERS, 0.02)
     goals = [LEFT + np.radians([0, 0, 0, 0, 0, turn]) for turn in (0, 90, -90)]
-    path = OmplSearch("RRTConnect").find(PathQuery(RIGHT, goals, edges, *BOUNDS, seed=3), 10.0)
+    path = OmplSearch("RRTConnect", time.monotonic).find(PathQuery(RIGHT, goals, edges, *BOUNDS, seed=3), 10.0)
     assert path[0].tobytes() == RIGHT.tobytes()
     assert path[-1].tobytes() in [goal.tobytes() for goal in goals]
     assert all(edges.free(a, b) for a, b in zip(path, path[1:]))
@@ -157,7 +158,7 @@ def test_a_path_that_only_the_coarse_check_calls_free_is_not_returned():
     edges = Asked(Thin(), np.ones(6), 0.02)
     for seed in range(1, 31):
         query = PathQuery(np.zeros(6), [np.eye(6)[0]], edges, -2 * np.ones(6), 2 * np.ones(6), seed)
-        path = OmplSearch("RRTConnect").find(query, 5.0)
+        path = OmplSearch("RRTConnect", time.monotonic).find(query, 5.0)
         assert all(edges.free(a, b) for a, b in zip(path, path[1:]))
     # where long steps jump over the sheet the shortcuts mostly mend it; where they do not, the search begins anew
     assert asked.count(1.0) >= 1 and len(asked) == 30 + asked.count(1.0)
@@ -186,14 +187,16 @@ def test_the_search_stays_within_its_bounds():
     edges = MotionValidator(world(WALL), LEVERS, 0.1)
     room = np.minimum(RIGHT, LEFT) - 1.0, np.maximum(RIGHT, LEFT) + 1.0
     bounds = np.maximum(room[0], BOUNDS[0]), np.minimum(room[1], BOUNDS[1])
-    path = OmplSearch("RRTConnect").find(PathQuery(RIGHT, [LEFT], edges, *bounds, seed=3), 10.0)
+    path = OmplSearch("RRTConnect", time.monotonic).find(PathQuery(RIGHT, [LEFT], edges, *bounds, seed=3), 10.0)
     assert np.all((path >= bounds[0] - 1e-12) & (path <= bounds[1] + 1e-12))
 
 
 def test_a_goal_behind_contact_all_around_is_not_found():
-    edges = MotionValidator(Recorder(most=0.3), LEVERS, 0.1)
+    edges, clock = MotionValidator(Recorder(most=0.3), LEVERS, 0.1), itertools.count()
+    query = PathQuery(HOME, [HOME + np.eye(6)[0]], edges, *BOUNDS, seed=1)
     with pytest.raises(NoPathError, check=lambda error: error.planner == "RRTConnect"):
-        OmplSearch("RRTConnect").find(PathQuery(HOME, [HOME + np.eye(6)[0]], edges, *BOUNDS, seed=1), 0.05)
+        OmplSearch("RRTConnect", lambda: next(clock)).find(query, 100.0)
+    assert next(clock) == pytest.approx(101, abs=2), "the budget is of the clock given"
 
 
 @pytest.mark.parametrize(

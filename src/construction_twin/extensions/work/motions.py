@@ -44,7 +44,7 @@ from construction_twin.scene.collision_world import CollisionWorld
 from construction_twin.scene.objects import Scene
 from construction_twin.scene.self_collision import SelfCollision
 
-#: Time after which no other method or way is begun, and for the search of one free way [s].
+#: Time after which no other method or way is begun, and for the search of one free way, by the clock of the `TaskPlanner` [s].
 BUDGET, FREE_BUDGET = 1.2, 0.7
 #: Most joint solutions of a pose that are tried, and combinations of two straight ways with one method.
 SOLUTIONS, PAIRS = 8, 6

@@ -161,10 +161,10 @@ def load_model(
         if shape.excess > _NOTABLE_EXCESS
     ]
     known = {name: value for name, value in planner.items() if name in PlannerSettings.model_fields}
-    rng = np.random.default_rng(known["seed"])
-    solver = inverse_kinematics(chain, IkSettings(budget_s=planner.get("ik_budget", 0.5)), rng, time.monotonic)
+    rng, processor_time = np.random.default_rng(known["seed"]), time.thread_time
+    solver = inverse_kinematics(chain, IkSettings(budget_s=planner.get("ik_budget", 0.5)), rng, processor_time)
     links, settings = read_self_collision(self_collision, robot), PlannerSettings.model_validate(known)
-    tasks = TaskPlanner(robot, solver, settings, links, work_cell.tool, work_cell.recipes, time.monotonic)
+    tasks = TaskPlanner(robot, solver, settings, links, work_cell.tool, work_cell.recipes, processor_time)
     _CONTEXTS[:] = [PlanningContext(robot, tasks, layout, schedule, unplannable)]
     # the duration of a task that makes several elements is none of theirs
     scheduled = {
