@@ -1,14 +1,16 @@
 """What is found out about each task before anything starts, and how it is told."""
 
 import io
+import itertools
 import os
 import signal
 import subprocess
 import sys
 import textwrap
-from concurrent.futures import ThreadPoolExecutor, wait
+import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -17,10 +19,9 @@ from processes import wait_until
 from rich.console import Console
 from work_samples import robot
 
-from construction_twin.core.worker import Worker
+from construction_twin.extensions.work import worker_functions
 from construction_twin.extensions.work.building import Task
 from construction_twin.extensions.work.commands.work_check import cell_picture, check_all
-from construction_twin.extensions.work.loaded_model import WORKER
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -83,21 +84,13 @@ def test_of_another_robots_tasks_none_is_checked(given):
     assert [(task.name, task.number) for task in checked.tasks] == [("Place far", 1)]
 
 
-def test_a_process_that_gets_a_thirtieth_of_a_processor_finds_the_same(given, found):
-    worker = Worker(WORKER)
-    worker.ask("load_model", **given)
-    _, process, _ = worker.ask("check", number=2)
-    with ThreadPoolExecutor(1) as threads:
-        checked, done = threads.submit(worker.ask, "check", number=0), False
-        while not done:
-            os.kill(process, signal.SIGSTOP)
-            done = bool(wait([checked], 0.29).done)
-            os.kill(process, signal.SIGCONT)
-            done = done or bool(wait([checked], 0.01).done)
-    worker.close()
-    one, other = found[0].tasks[0], checked.result()[0]
-    assert other.possible, other.reason
-    assert (other.grip, other.clearance, other.duration) == (one.grip, one.clearance, one.duration)
+def test_a_machine_that_does_other_things_too_finds_the_same(given, found, monkeypatch):
+    hours = itertools.count(0, 3600)
+    clocks = SimpleNamespace(monotonic=lambda: next(hours), thread_time=time.thread_time)
+    monkeypatch.setattr(worker_functions, "time", clocks)
+    worker_functions.load_model(**given)
+    checked, _, _ = worker_functions.check(0)
+    assert checked.planning >= 3600 and checked == replace(found[0].tasks[0], planning=checked.planning)
 
 
 #: Checks nothing, and writes which process it is; the tenth task ends the process where that is wanted.
