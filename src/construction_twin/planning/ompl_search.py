@@ -142,8 +142,8 @@ class _OmplValidator(ob.MotionValidator):
 class OmplSearch:
     """One of OMPL's planners, by its name: finds a path, and shortens it.
 
-    Those of the PRM family are given the first goal only, and run on OMPL's clock: they add goals and look at the time in a thread
-    of their own, which Python blocks for ever.
+    Those of the PRM family are given the first goal only, and run on OMPL's clock: a thread of theirs adds goals and looks at the
+    time, and would wait for Python for ever.
     """
 
     def __init__(self, name: str, clock: Clock):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -63,7 +61,7 @@ def test_a_plan_reaches_through_the_window_and_does_not_touch_its_frame():
 
 
 def plan_with_growing_budget(name: str):
-    """Those that use their whole budget get a short one first: how far they come in it depends on the machine."""
+    """Those that use their whole budget get a short one first: how far they come in it is not known."""
     for budget in (0.5, 2.0, 8.0) if name in OPTIMISING else ():
         try:
             return planner(planner=name, planning_budget=budget).plan_to_joints(RIGHT, LEFT, REQUEST, WALLED)
@@ -151,8 +149,8 @@ def test_no_path_says_how_long_was_tried():
     ]
     side, other = (HOME + np.radians([turn, 45, -20, 0, 0, 0]) for turn in (-90, 90))
     with pytest.raises(NoPathError, check=lambda error: error.planner == "RRTConnect") as caught:
-        planner(clock=time.monotonic, planning_budget=0.3).plan_to_joints(side, other, REQUEST, world(*walls))
-    assert caught.value.planner == "RRTConnect" and caught.value.budget >= 0.3
+        planner(planning_budget=0.3).plan_to_joints(side, other, REQUEST, world(*walls))
+    assert caught.value.budget == pytest.approx(0.3, abs=0.01), "by the planner's clock"
 
 
 @settings(max_examples=15, deadline=None)

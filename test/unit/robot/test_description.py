@@ -216,6 +216,8 @@ def test_offset_and_home_of_a_linear_joint_are_millimetres_in_the_file():
     robot = load_robot(expand_xacro(TRACK_XACRO), description)
     assert robot.axes[0] == AxisMapping("E1", -1, -2.5)
     assert robot.home[0] == 0.1255
+    assert robot.to_axes(robot.home)[0] == pytest.approx(-2.6255)
+    assert robot.from_axes(robot.to_axes(robot.home)) == pytest.approx(robot.home)
 
 
 @pytest.mark.parametrize("key", ["home", "acceleration", "jerk", "offset"])
