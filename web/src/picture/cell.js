@@ -5,27 +5,24 @@
  * Joint values are applied at once when a message comes; drawing waits for the next frame. The camera is fitted to all
  * that is there until the person moves it.
  */
-import {Box3, DirectionalLight, HemisphereLight, PerspectiveCamera, Raycaster, Scene, Vector2, Vector3} from "three";
-import {OrbitControls} from "three/addons/controls/OrbitControls.js";
+import {Box3, Raycaster, Scene, Vector2, Vector3} from "three";
 import {clock} from "../progress.js";
+import {makeCamera} from "./camera.js";
 import {closestOf, millimetres} from "./closest.js";
 import * as colours from "./colours.js";
-import {around, clipped, corners, fit} from "./fit.js";
-import {floorOf, makeFloor} from "./floor.js";
+import {around, clipped, corners} from "./fit.js";
+import {floorOf, makeFloor, makeLight} from "./floor.js";
 import {playedOf} from "./played.js";
 import {ghostOf, loadRobot, mainColour, reachOf, reasonOf, setJoints, toolOf} from "./robot_model.js";
-import {axes, colourBuilding, dispose, ghostMaterial, isEngaged, loadBuilding, markerBall, pathLine, playedPath, sceneBody} from "./shapes.js";
+import {axes, colourBuilding, cornersOf, dispose, ghostMaterial, isEngaged, loadBuilding, markerBall, pathLine, playedPath, sceneBody} from "./shapes.js";
 
-/** Directions from which the cell is looked at: towards the camera. */
-const VIEWS = {home: [0.72, -0.62, 0.4], front: [1, 0, 0.14], side: [0, -1, 0.14], top: [0.001, 0, 1]};
-/** Height of the picture as the camera sees it [deg]. */
-const FOV = 38;
 /** What is farther away than so many times the arm's reach does not move the camera away. */
 const FAR = 2.2;
 /** Reach of an arm whose model has not come yet [m]. */
 const REACH = 2.5;
-/** So much is shown on all sides of an element that is brought into view, as a part of the arm's reach. */
+/** So much is shown on all sides of an element that is brought into view, and of the tool, as parts of the arm's reach. */
 const AROUND = 0.2;
+const AROUND_TOOL = 0.22;
 /** Length of the tool frame's axes, as a part of the arm's reach. */
 const AXES = 0.1;
 /** Radius of the ball that marks the closest point [m]. */
@@ -50,32 +47,10 @@ const rounded = (key, value) => (typeof value === "number" ? Math.round(1e5 * va
  */
 export function makeCell(name, overlay, store, redraw, ratio = 1) {
   const scene = new Scene();
-  const camera = new PerspectiveCamera(FOV, 1, 0.05, 120);
-  camera.up.set(0, 0, 1);
-  const controls = new OrbitControls(camera, overlay);
-  controls.maxDistance = 60;
-  controls.minDistance = 0.3;
-  // the floor is solid: from below nothing is seen
-  controls.maxPolarAngle = Math.PI * 0.495;
   const ground = makeFloor();
   scene.add(ground);
-  let inset = undefined;
-  controls.addEventListener("change", () => {
-    controls.target.z = Math.max(controls.target.z, ground.position.z);
-    redraw();
-  });
-  // the view that was chosen; "" once the person has turned or moved it by hand
-  let chosen = "home";
-  controls.addEventListener("start", () => {
-    chosen = "";
-  });
-  const sun = new DirectionalLight(0xffffff, 2.1);
-  const fill = new DirectionalLight(0xdfe9ff, 0.5);
-  fill.position.set(-4, 3, 2.5);
-  sun.shadow.mapSize.set(1024, 1024);
-  sun.shadow.bias = -4e-4;
-  sun.shadow.normalBias = 0.02;
-  scene.add(new HemisphereLight(0xffffff, 0x8a8f99, 1.5), fill, sun, sun.target);
+  const camera = makeCamera(overlay, ground, redraw);
+  const light = makeLight(scene);
 
   const state = {loading: null, progress: null, failed: "", unread: "", lacks: "", stale: false, missing: []};
   // views come 25 times a second: a model that could not be loaded is not asked for with each of them
@@ -216,7 +191,7 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
     }
     showClosest();
     showPlayed();
-    if (chosen !== "" && isOutside()) refit();
+    if (camera.chosen !== "" && isOutside()) refit();
     // views come 25 times a second; while the robot stands still they all show the same picture
     const shown = view === null ? "" : JSON.stringify(
       [view.twin?.positions, view.arm?.positions, view.sync?.state, bodies !== null, played?.travelled.at(-1), played?.remaining], rounded);
@@ -314,7 +289,7 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
     // what was tapped in the picture is in view
     if (node === undefined || tapping) return;
     const centre = new Box3().setFromObject(node).getCenter(new Vector3());
-    if (!isInView(centre)) lookAt(cornersOf(node), centre);
+    if (!camera.isInView(centre)) camera.lookAt([...cornersOf(node), ...boxAround(centre, AROUND)]);
   }
 
   function showTasks() {
@@ -375,7 +350,7 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
   /** Take a tap on this part of the picture [px]. */
   function tap(x, y, width, tall) {
     const ray = new Raycaster();
-    ray.setFromCamera(new Vector2(x / width * 2 - 1, 1 - y / tall * 2), camera);
+    ray.setFromCamera(new Vector2(x / width * 2 - 1, 1 - y / tall * 2), camera.perspective);
     const targets = [...objects, ...building === null ? [] : [building.group]];
     const hit = ray.intersectObjects(targets, true).find(({object}) => object.isMesh);
     tapped = null;
@@ -390,19 +365,6 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
   }
 
   // -- cameras
-
-  /** Return the corners of what a body draws now, its frame's axes left out. */
-  function cornersOf(object) {
-    const found = [];
-    object.updateWorldMatrix(true, true);
-    object.traverse((child) => {
-      if (!child.isMesh || child.name === "axes") return;
-      child.geometry.boundingBox ?? child.geometry.computeBoundingBox();
-      const {min, max} = child.geometry.boundingBox;
-      found.push(...corners(min.toArray(), max.toArray()).map((corner) => new Vector3(...corner).applyMatrix4(child.matrixWorld).toArray()));
-    });
-    return found;
-  }
 
   /** Return points around all that is drawn: arm, what it reaches, plan, scene and building model; not what is far away from it. */
   function content() {
@@ -419,8 +381,7 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
   /** Whether the twin's tool is where the camera was not fitted to. */
   function isOutside() {
     if (bodies === null || fitted.isEmpty()) return false;
-    bodies.twin.updateWorldMatrix(true, true);
-    return !fitted.containsPoint(toolOf(bodies.twin).getWorldPosition(new Vector3()));
+    return !fitted.containsPoint(toolAt("twin"));
   }
 
   const fitted = new Box3();
@@ -430,57 +391,25 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
     const points = content();
     fitted.setFromPoints(points.map((point) => new Vector3(...point))).expandByScalar(0.1 * reachable);
     ground.cover(points, height);
-    light();
-    if (chosen !== "" && chosen !== "tool") look(chosen, points);
+    light.cover(fitted);
+    if (!["", "tool"].includes(camera.chosen)) look(camera.chosen, points);
     redraw();
   }
 
-  /** Let the sun shine on all that is there. */
-  function light() {
-    const centre = fitted.getCenter(new Vector3());
-    const radius = fitted.getSize(new Vector3()).length() / 2;
-    sun.target.position.copy(centre);
-    sun.position.set(0.45, -0.5, 1).normalize().multiplyScalar(2 * radius).add(centre);
-    Object.assign(sun.shadow.camera, {left: -radius, right: radius, top: radius, bottom: -radius, near: 0.1, far: 4 * radius});
-    sun.shadow.camera.updateProjectionMatrix();
+  function look(chosen, points = content()) {
+    camera.look(chosen, chosen === "tool" && bodies !== null ? boxAround(toolAt("twin"), AROUND_TOOL) : points);
   }
 
-  function look(view, points = content()) {
-    chosen = view;
-    let direction = VIEWS[view] ?? VIEWS.home;
-    let place;
-    if (view === "tool" && bodies !== null) {
-      bodies.twin.updateWorldMatrix(true, true);
-      const tool = toolOf(bodies.twin).getWorldPosition(new Vector3());
-      const size = 0.22 * reachable;
-      place = fit(corners(tool.clone().subScalar(size).toArray(), tool.clone().addScalar(size).toArray()), direction, FOV, camera.aspect, inset);
-    } else {
-      place = fit(points, direction, FOV, camera.aspect, inset);
-    }
-    goTo(place);
+  /** Return the corners of a box around a point; `size`: to each side, as a part of the arm's reach. */
+  function boxAround(centre, size) {
+    const [low, high] = [-size, size].map((side) => centre.clone().addScalar(side * reachable).toArray());
+    return corners(low, high);
   }
 
-  /** Whether a point is in the part of the picture that is not covered. */
-  function isInView(point) {
-    camera.updateMatrixWorld();
-    const {x, y, z} = point.clone().project(camera);
-    const {left, right, top, bottom} = inset ?? {left: 0, right: 0, top: 0, bottom: 0};
-    return z < 1 && x > 2 * left - 1 && x < 1 - 2 * right && y > 2 * bottom - 1 && y < 1 - 2 * top;
-  }
-
-  /** Look at what has these corners from where the camera is now, with some of what is around it. */
-  function lookAt(points, centre) {
-    chosen = "";
-    const size = AROUND * reachable;
-    const box = corners(centre.clone().subScalar(size).toArray(), centre.clone().addScalar(size).toArray());
-    goTo(fit([...points, ...box], camera.position.clone().sub(controls.target).toArray(), FOV, camera.aspect, inset));
-  }
-
-  function goTo({position, target}) {
-    controls.target.fromArray(target);
-    camera.position.fromArray(position);
-    controls.update();
-    redraw();
+  /** Return where the tool of a body is. */
+  function toolAt(body) {
+    bodies[body].updateWorldMatrix(true, true);
+    return toolOf(bodies[body]).getWorldPosition(new Vector3());
   }
 
   // -- words in the picture
@@ -489,9 +418,8 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
   function labels(width, tall) {
     const found = [];
     const at = (point, text, kind, rank) => {
-      const projected = point.clone().project(camera);
-      if (projected.z < -1 || projected.z > 1) return;
-      found.push({text, kind, rank, x: (projected.x + 1) / 2 * width, y: (1 - projected.y) / 2 * tall});
+      const {x, y, z} = camera.onScreen(point);
+      if (Math.abs(z) <= 1) found.push({text, kind, rank, x: x * width, y: y * tall});
     };
     if (near !== null) at(new Vector3(...near.point), `${millimetres(near.distance)} mm`, "closest", 90);
     if (played !== null && played.remaining !== null) at(new Vector3(...played.end), clock(played.remaining), "left", 95);
@@ -503,12 +431,6 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
     return found;
   }
 
-  /** Where a point is in this robot's part of the picture: fractions from its upper left corner. */
-  function onScreen(point) {
-    const projected = point.clone().project(camera);
-    return [(projected.x + 1) / 2, (1 - projected.y) / 2];
-  }
-
   /** Where the axes at the tool are drawn, and which way each of them points; null: they are not. */
   function toolFrame() {
     if (bodies === null || !bodies.twin.visible) return null;
@@ -517,33 +439,24 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
     return {position: elements.slice(12, 15), axes: [0, 4, 8].map((k) => elements.slice(k, k + 3))};
   }
 
-  const toolPosition = (body) => {
-    if (bodies === null || !(body === "arm" ? there.arm : bodies[body].visible)) return null;
-    bodies[body].updateWorldMatrix(true, true);
-    return toolOf(bodies[body]).getWorldPosition(new Vector3()).toArray();
-  };
-
   showAll();
   refit();
 
   return {
-    name, scene, camera, state, look, labels,
+    name, scene, camera: camera.perspective, state, look, labels,
     get ready() {
       return bodies !== null;
     },
-    /** Have another part of the picture, so many pixels large, of which `inset` (fit.js) is covered. */
     resize(width, tall, covered) {
-      inset = covered;
-      camera.aspect = width / tall;
-      camera.updateProjectionMatrix();
+      camera.resize(width, tall, covered);
       // what a person has chosen stays, at another size too
-      if (chosen !== "") look(chosen);
+      if (camera.chosen !== "") look(camera.chosen);
     },
     /** Take the colours of the theme: of the floor and of its lines. */
     theme: ground.theme,
     /** Draw shadows, or none. */
     shadows(on) {
-      sun.castShadow = on;
+      light.shadows(on);
       ground.shadows(on);
       redraw();
     },
@@ -579,16 +492,17 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
         : Object.fromEntries(Object.values(bodies[body].joints).filter((joint) => joint.jointType !== "fixed")
           .map((joint) => [joint.name ?? joint.urdfName, joint.angle])));
       const result = {ready: bodies !== null, failed: state.failed, unread: state.unread, lacks: state.lacks, stale: state.stale, seq: robot()?.view?.seq ?? null};
-      for (const body of ["twin", "arm", "plan", "goal"]) result[body] = {joints: values(body), tool: toolPosition(body)};
+      for (const body of ["twin", "arm", "plan", "goal"]) result[body] = {joints: values(body), tool: isShown(body) ? toolAt(body).toArray() : null};
       result.path = path === null ? null : robot()?.plan?.tool_path ?? null;
       result.waypoints = path === null ? 0 : path.userData.waypoints;
       result.played = played;
       result.armColour = ghosts.arm.color.getHex();
       result.objects = objects.map((each) => each.name);
       result.elements = building === null ? [] : [...building.elements].map(([element, {material}]) => [element, material.color.getHex()]);
+      const place = (node) => camera.onScreen(new Box3().setFromObject(node).getCenter(new Vector3()));
       result.places = building === null ? {} : Object.fromEntries([...building.elements].map(
-        ([element, {node}]) => [element, onScreen(new Box3().setFromObject(node).getCenter(new Vector3()))]));
-      result.camera = {position: camera.position.toArray(), target: controls.target.toArray(), chosen};
+        ([element, {node}]) => [element, [place(node).x, place(node).y]]));
+      result.camera = camera.inspect();
       result.closest = closest.visible ? near : null;
       result.floor = {height: ground.position.z, half: ground.userData.half};
       result.frame = toolFrame();

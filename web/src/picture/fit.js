@@ -10,7 +10,7 @@ const unit = (a) => {
   const length = Math.hypot(...a);
   return a.map((value) => value / length);
 };
-const NO_INSET = {left: 0, right: 0, top: 0, bottom: 0};
+export const NO_INSET = {left: 0, right: 0, top: 0, bottom: 0};
 
 /**
  * Along one side of the picture: `at` [m] of each point, `deep` [m] towards the camera, `low` and `high` slopes between which they must

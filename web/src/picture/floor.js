@@ -1,5 +1,7 @@
-/** The floor: solid, with a line at each metre, and the shadows on it. Metres, in base_link. */
-import {GridHelper, Group, Mesh, MeshBasicMaterial, PlaneGeometry, ShadowMaterial} from "three";
+/** The floor: solid, with a line at each metre, and the light, whose shadows are on it. Metres, in base_link. */
+import {
+  DirectionalLight, GridHelper, Group, HemisphereLight, Mesh, MeshBasicMaterial, PlaneGeometry, ShadowMaterial, Vector3,
+} from "three";
 
 /** It reaches at least so far on all sides of the base, and at most so far [m]. */
 const LEAST = 3;
@@ -70,4 +72,29 @@ export function makeFloor() {
       shade.visible = on;
     },
   });
+}
+
+/** Make the light of a scene: from the sky, from beside, and a sun that throws shadows. */
+export function makeLight(scene) {
+  const sun = new DirectionalLight(0xffffff, 2.1);
+  const fill = new DirectionalLight(0xdfe9ff, 0.5);
+  fill.position.set(-4, 3, 2.5);
+  sun.shadow.mapSize.set(1024, 1024);
+  sun.shadow.bias = -4e-4;
+  sun.shadow.normalBias = 0.02;
+  scene.add(new HemisphereLight(0xffffff, 0x8a8f99, 1.5), fill, sun, sun.target);
+  return {
+    /** Let the sun shine on all that is in a box. */
+    cover(box) {
+      const centre = box.getCenter(new Vector3());
+      const radius = box.getSize(new Vector3()).length() / 2;
+      sun.target.position.copy(centre);
+      sun.position.set(0.45, -0.5, 1).normalize().multiplyScalar(2 * radius).add(centre);
+      Object.assign(sun.shadow.camera, {left: -radius, right: radius, top: radius, bottom: -radius, near: 0.1, far: 4 * radius});
+      sun.shadow.camera.updateProjectionMatrix();
+    },
+    shadows(on) {
+      sun.castShadow = on;
+    },
+  };
 }

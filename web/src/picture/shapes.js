@@ -1,13 +1,14 @@
 /** Objects of the scene, the building model, lines and markers. Metres, in base_link. */
 import {
   BoxGeometry, BufferGeometry, Color, CylinderGeometry, DoubleSide, EdgesGeometry, Float32BufferAttribute, Group, LineBasicMaterial, LineSegments,
-  Mesh, MeshBasicMaterial, MeshLambertMaterial, Points, PointsMaterial, SphereGeometry,
+  Mesh, MeshBasicMaterial, MeshLambertMaterial, Points, PointsMaterial, SphereGeometry, Vector3,
 } from "three";
 import {Line2} from "three/addons/lines/Line2.js";
 import {LineGeometry} from "three/addons/lines/LineGeometry.js";
 import {LineMaterial} from "three/addons/lines/LineMaterial.js";
 import {mergeGeometries} from "three/addons/utils/BufferGeometryUtils.js";
 import * as colours from "./colours.js";
+import {corners} from "./fit.js";
 import {fetchOwn, loadMesh, readGlb} from "./robot_model.js";
 import {stateOfElement} from "../work/task_list.js";
 
@@ -18,6 +19,19 @@ export function dispose(object) {
     for (const material of [child.material ?? []].flat()) material.dispose();
   });
   object.removeFromParent();
+}
+
+/** Return the corners of what a body draws now, its frame's axes left out. */
+export function cornersOf(object) {
+  const found = [];
+  object.updateWorldMatrix(true, true);
+  object.traverse((child) => {
+    if (!child.isMesh || child.name === "axes") return;
+    child.geometry.boundingBox ?? child.geometry.computeBoundingBox();
+    const {min, max} = child.geometry.boundingBox;
+    found.push(...corners(min.toArray(), max.toArray()).map((corner) => new Vector3(...corner).applyMatrix4(child.matrixWorld).toArray()));
+  });
+  return found;
 }
 
 /**
