@@ -52,7 +52,8 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
   const camera = makeCamera(overlay, ground, redraw);
   const light = makeLight(scene);
 
-  const state = {loading: null, progress: null, failed: "", unread: "", lacks: "", stale: false, missing: []};
+  const state = {progress: null, failed: "", unread: "", lacks: "", stale: false, missing: []};
+  let loading = false;
   // views come 25 times a second: a model that could not be loaded is not asked for with each of them
   let resting = false;
   const ghosts = {
@@ -85,9 +86,10 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
   // -- model
 
   async function load() {
-    if (template !== null || state.loading !== null || resting) return;
+    if (template !== null || loading || resting) return;
     state.failed = "";
-    const done = (async () => {
+    loading = true;
+    try {
       const loaded = await loadRobot(`private/${encodeURIComponent(name)}/robot.urdf`, (done, all) => {
         state.progress = {done, all};
         redraw();
@@ -105,10 +107,6 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
         body.visible = false;
         scene.add(body);
       }
-    })();
-    state.loading = done;
-    try {
-      await done;
       showAll();
       refit();
     } catch (error) {
@@ -120,7 +118,7 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
         if (store.robot(name)?.view) load();
       }, RETRY);
     } finally {
-      state.loading = null;
+      loading = false;
       state.progress = null;
       redraw();
     }
