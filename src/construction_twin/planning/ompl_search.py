@@ -142,8 +142,8 @@ class _OmplValidator(ob.MotionValidator):
 class OmplSearch:
     """One of OMPL's planners, by its name: finds a path, and shortens it.
 
-    Those of the PRM family are given the first goal only, and run on OMPL's clock: a thread of theirs adds goals and looks at the
-    time, and would wait for Python for ever.
+    Two kinds are given the first goal only: BFMT, which kills the process where it has several and no path, and the PRM family, of
+    which a thread for goals and time would wait for Python for ever, so that it runs on OMPL's clock.
     """
 
     def __init__(self, name: str, clock: Clock):
@@ -172,7 +172,9 @@ class OmplSearch:
         end, goals = self._clock() + budget, query.goals
         condition = ob.PlannerTerminationCondition(lambda: self._clock() >= end)
         if issubclass(self._kind, og.PRM):
-            goals, condition = goals[:1], ob.timedPlannerTerminationCondition(budget)
+            condition = ob.timedPlannerTerminationCondition(budget)
+        if issubclass(self._kind, (og.PRM, og.BFMT)):
+            goals = goals[:1]
         problem = _problem_definition(information, query.start, goals)
         search = self._kind(information)
         search.setProblemDefinition(problem)

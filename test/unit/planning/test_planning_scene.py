@@ -140,16 +140,29 @@ def test_a_fixed_configuration_is_kept():
         assert str(inverse.configuration(plan.trajectory.positions[-1])) == text
 
 
+#: Through the arm's axis, with room for its column only.
+APART = (
+    SceneObject("front", "box", (3.0, 0.1, 5.0), (2.2, 0.0, 2.5)),
+    SceneObject("back", "box", (3.0, 0.1, 5.0), (-2.2, 0.0, 2.5)),
+    SceneObject("above", "box", (6.0, 0.1, 3.0), (0.0, 0.0, 3.1)),
+)
+
+
+@pytest.mark.parametrize("name", sorted(ompl_planners()))
+def test_every_planner_ends_where_none_of_several_goals_can_be_reached(name):
+    side, other = (HOME + np.radians([turn, 45, -20, 0, 20, 0]) for turn in (-90, 90))
+    walls, pose = world(*APART), CHAIN.forward(other)
+    assert sum(walls.is_free(one.q) for one in solver().all(pose, side)) > 1
+    # BFMT has tried everything before
+    budget = 8.0 if name == "BFMT" else 0.5
+    with pytest.raises(NoPathError):
+        planner(planner=name, planning_budget=budget).plan_to_pose(side, pose, REQUEST, walls)
+
+
 def test_no_path_says_how_long_was_tried():
-    # a wall through the arm's axis, with room for its column only
-    walls = [
-        SceneObject("front", "box", (3.0, 0.1, 5.0), (2.2, 0.0, 2.5)),
-        SceneObject("back", "box", (3.0, 0.1, 5.0), (-2.2, 0.0, 2.5)),
-        SceneObject("above", "box", (6.0, 0.1, 3.0), (0.0, 0.0, 3.1)),
-    ]
     side, other = (HOME + np.radians([turn, 45, -20, 0, 0, 0]) for turn in (-90, 90))
     with pytest.raises(NoPathError, check=lambda error: error.planner == "RRTConnect") as caught:
-        planner(planning_budget=0.3).plan_to_joints(side, other, REQUEST, world(*walls))
+        planner(planning_budget=0.3).plan_to_joints(side, other, REQUEST, world(*APART))
     assert caught.value.budget == pytest.approx(0.3, abs=0.01), "by the planner's clock"
 
 
