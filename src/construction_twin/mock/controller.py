@@ -39,7 +39,7 @@ class ReplyRefusals:
     Attributes:
         last: Why the last one did not count; "" before the first.
         present: The same; "" when so many have counted since that it is over.
-        since_valid: The same, of those since the last reply that counted.
+        valid: How many have counted since.
         log_lines: Sentences for the log, which whoever writes them removes.
     """
 
@@ -51,15 +51,15 @@ class ReplyRefusals:
 
     def begin_session(self) -> None:
         """Forget what belongs to the session before; `last` stays for people."""
-        self.present = self.since_valid = ""
+        self.present = ""
         self._reported: set[str] = set()
-        self._refused = self._valid = 0
+        self._refused = self.valid = 0
 
     def on_refused(self, kind: str, sentence: str) -> None:
         """Count a reply that is refused; the first of its kind is logged at once."""
-        self.last = self.present = self.since_valid = sentence
+        self.last = self.present = sentence
         self._refused += 1
-        self._valid = 0
+        self.valid = 0
         if kind not in self._reported:
             self._reported.add(kind)
             self.log_lines.append(f"reply refused: {sentence}")
@@ -68,9 +68,8 @@ class ReplyRefusals:
         """Count a valid reply."""
         if not self.present:
             return
-        self.since_valid = ""
-        self._valid += 1
-        if self._valid >= self._recovery:
+        self.valid += 1
+        if self.valid >= self._recovery:
             self.log_lines.append(
                 f"replies count again; {self._refused} were refused, the last one because {self.last}"
             )
@@ -188,14 +187,10 @@ class MockController:
         self._reply = None
         self.counters["packets"] += 1
         pose = _flat(self._forward_kinematics(self.reported))
-        values = self.stamp, self.reported, self._followed, pose, self._start_tool, self.missed, self._shown
+        setpoint = self.setpoint if self._absolute else self.start_pose
+        values = self.stamp, self.reported, setpoint, pose, self._start_tool, self.missed, self._shown
         outputs = None if self.tool is None or self.tool.hidden else self.tool.outputs
         return self._encode(*values, outputs, {} if self.tool is None else self.tool.inputs)
-
-    @property
-    def _followed(self) -> tuple[float, ...]:
-        """The setpoint in a telegram [rad], shape (n,)."""
-        return self.setpoint if self._absolute else self.start_pose
 
     def receive(self, data: bytes, in_time: bool = True) -> bool:
         """Handle a datagram in the open cycle, `in_time` or too late; return whether it is the reply."""
@@ -264,15 +259,9 @@ class MockController:
         self.program = Program(self.start_pose, target, *limits, duration, self._period)
 
     def _build_tool_limit(self, position: Sequence[float], step: Sequence[float]) -> ToolSpeedLimit:
-        return ToolSpeedLimit(
-            position,
-            step,
-            self.config.velocity,
-            self.config.acceleration,
-            lambda q: self._forward_kinematics(q)[0],
-            self._tool_speed,
-            self._period,
-        )
+        limits = self.config.velocity, self.config.acceleration
+        forward = self._forward_kinematics
+        return ToolSpeedLimit(position, step, *limits, lambda q: forward(q)[0], self._tool_speed, self._period)
 
     def _programmed_pose(self, program: Program) -> tuple[float, ...]:
         pose = program.advance()
@@ -356,8 +345,8 @@ class MockController:
             self.tool.on_missed_reply()
         if self.missed >= self.config.timeout:
             self.flag = True
-            refused = self.refusals.since_valid
-            why = f"; the last one was refused: {refused}" if refused else ""
+            refused = self.refusals.present and not self.refusals.valid
+            why = f"; the last one was refused: {self.refusals.last}" if refused else ""
             self._stop(f"timeout: {self.missed} cycles without a valid reply{why}")
         self._stop_level = self._stop_level and self._holds_stop
         return tuple(value if held else 0.0 for value, held in zip(self.applied, self._holds))

@@ -105,9 +105,9 @@ KINDS = {
     "drift": FaultKind("one", (1,), "the rate [rad/s]", shift=True, positive=False),
     "backlash": FaultKind("one", (1,), "the play [rad]"),
     "noise": FaultKind("any", (1,), "the standard deviation [rad]"),
-    "drop": FaultKind("no", (1,), "the fraction of datagrams, up to 1", network=True),
-    "delay": FaultKind("no", (1, 2), "the delay, and how much more it may be [s]", network=True, positive=False),
-    "duplicate": FaultKind("no", (1,), "the fraction of datagrams, up to 1", network=True),
+    "drop": FaultKind("no", (1,), "the fraction of datagrams, up to 1", network=True, largest=1.0),
+    "delay": FaultKind("no", (1, 2), "delay and jitter, up to 1 s", network=True, positive=False, largest=1.0),
+    "duplicate": FaultKind("no", (1,), "the fraction of datagrams, up to 1", network=True, largest=1.0),
     "estop": FaultKind("no", (0,), "no value"),
     "rsi_timeout": FaultKind("no", (0,), "no value"),
     "t1": FaultKind("no", (0, 1), "nothing, or the tool's speed [m/s]"),
@@ -228,12 +228,8 @@ class FaultBoard:
             raise ConfigurationError(fault.name, fault.values, kind.meaning)
         if kind.positive and not all(value > 0.0 for value in fault.values):
             raise ConfigurationError(fault.name, fault.values, f"{kind.meaning}, greater than 0")
-        if kind.network and not all(0.0 <= value <= 1.0 for value in fault.values):
-            raise ConfigurationError(fault.name, fault.values, f"{kind.meaning}, 0 to 1")
-        allowed = not kind.whole or all(value.is_integer() for value in map(float, fault.values))
-        if math.isfinite(kind.largest) and not (
-            allowed and all(0.0 <= value <= kind.largest for value in fault.values)
-        ):
+        bounded = math.isfinite(kind.largest)
+        if any(bounded and not 0.0 <= value <= kind.largest or kind.whole and value % 1 for value in fault.values):
             raise ConfigurationError(fault.name, fault.values, kind.meaning)
         if not (math.isfinite(fault.duration) and fault.duration >= 0.0):
             raise ConfigurationError(fault.name, fault.duration, "a duration [s] of 0 or more")
