@@ -97,8 +97,9 @@ def test_the_arm_brakes_is_held_and_a_person_is_asked_for(part, broker, topics, 
         for k in range(80, 100):
             client.command(motion(k))
             time.sleep(0.004)
-        wait_until(lambda: "Unexpected: injected" in service.failure, what="failure")
-        wait_until(lambda: service.gateway.state is State.FAILED, what="the state that says so")
+        wait_until(lambda: service.gateway.state is not State.FOLLOWING, what="the failure")
+        assert service.gateway.state is State.FAILED, service.gateway.reason
+        assert "Unexpected: injected" in service.failure
         assert_it_brakes_and_holds(controller, begin)
         assert service.gateway.fault
         said = [record for record in caplog.records if record.levelno == logging.CRITICAL]

@@ -497,9 +497,10 @@ export function makeCell(name, overlay, store, redraw, ratio = 1) {
       result.armColour = ghosts.arm.color.getHex();
       result.objects = objects.map((each) => each.name);
       result.elements = building === null ? [] : [...building.elements].map(([element, {material}]) => [element, material.color.getHex()]);
-      const place = (node) => camera.onScreen(new Box3().setFromObject(node).getCenter(new Vector3()));
-      result.places = building === null ? {} : Object.fromEntries([...building.elements].map(
-        ([element, {node}]) => [element, [place(node).x, place(node).y]]));
+      result.places = building === null ? {} : Object.fromEntries([...building.elements].map(([element, {node}]) => {
+        const {x, y} = camera.onScreen(new Box3().setFromObject(node).getCenter(new Vector3()));
+        return [element, [x, y]];
+      }));
       result.camera = camera.inspect();
       result.closest = closest.visible ? near : null;
       result.floor = {height: ground.position.z, half: ground.userData.half};
